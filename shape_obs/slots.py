@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import combinations, cycle
+from statistics import median
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -226,7 +227,7 @@ class Slots:
             bent += _EXCHANGED * sum(
                 exchange_gain(one, other, width) for (one, width), (other, _) in combinations(strands, 2)
             )
-        doubt = lost + _BENDING * bent + area / float(np.median(widths)) ** 2
+        doubt = lost + _BENDING * bent + area / median(widths) ** 2
         return doubt if doubt > _DOUBTFUL else 0.0
 
     def _looks_again(self, doubt: float) -> bool:
@@ -241,7 +242,7 @@ class Slots:
         every, reason = self.spec.find_objects(region)
         objects = every[:MOST]  # the largest: pixels are shared among no more
         ahead = [None if each is None else _in_image(each.nodes, seen.scene) for each in seen.expected]
-        width = float(np.median([each.width for each in objects])) if objects else 0.0
+        width = median(each.width for each in objects) if objects else 0.0
         far = _FAR * math.hypot(*seen.moment.size)
         # What was lost for long may be anywhere, but so may be what has come instead.
         reach = [
@@ -251,9 +252,7 @@ class Slots:
         seats = seat_tracked(objects, ahead, reach)
         free = [k for k, each in enumerate(seen.expected) if each is None or each.stale]
         targets = [tracker.target(seen.moment) for tracker in self.trackers]
-        kept = (
-            near_tracks(objects, ahead, _KEPT * float(np.median([each.width for each in objects]))) if objects else ()
-        )
+        kept = near_tracks(objects, ahead, _KEPT * width) if objects else ()
         seats = seat_others(
             objects, seats, targets, sorted(free, key=lambda k: self.trackers[k].track is not None), kept
         )
@@ -261,7 +260,7 @@ class Slots:
         shared = [at for at, each in enumerate(objects) if each.region is None]
         curves, widths = [objects[at].curve.points for at in shared], [objects[at].width for at in shared]
         owners = share(region, curves, widths, FOUND)[0] if shared else None
-        reach = _PIECE * float(np.median(widths)) if shared else 0.0
+        reach = _PIECE * median(widths) if shared else 0.0
         for k, pieces in enumerate(add_pieces(objects, seats, ahead, reach)):
             if pieces:
                 part = objects[pieces[0]].region

@@ -16,7 +16,7 @@ from shape_obs.compiled import compiled
 from shape_obs.geometry.polyline import arc_length
 from shape_obs.initialization.gaps import Lead, bending, hermite, lead
 from shape_obs.initialization.junctions import Arm, Overlap, Zones, find_zones, follow, merge_nodes
-from shape_obs.initialization.skeleton import Branch, Skeleton
+from shape_obs.initialization.skeleton import Branch, Skeleton, middle_value
 
 Array = npt.NDArray[np.float64]
 Pairing = tuple[tuple[Arm, Arm], ...]
@@ -95,7 +95,7 @@ def untangle(skeleton: Skeleton) -> Strands:
 
 def _width(branches: tuple[Branch, ...], route: list[Arm]) -> float:
     """Return how wide a strand is, pixels: twice the median radius along its branches."""
-    return max(2 * float(np.median(np.concatenate([branches[i].radius for i, _ in route]))), 1.0)
+    return max(2 * middle_value(np.concatenate([branches[i].radius for i, _ in route])), 1.0)
 
 
 def _overlaps(

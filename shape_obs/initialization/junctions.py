@@ -13,7 +13,6 @@ such waist is a crossing.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -80,7 +79,7 @@ def merge_nodes(skeleton: Skeleton) -> Skeleton:
     inner = [branch for branch, inside in zip(skeleton.branches, is_inner, strict=True) if inside]
     node = connected(max(degree, default=-1) + 1, np.array([branch.nodes for branch in inner], int).reshape(-1, 2))
     kept = (branch for branch, inside in zip(skeleton.branches, is_inner, strict=True) if not inside)
-    renamed = (replace(branch, nodes=(int(node[branch.nodes[0]]), int(node[branch.nodes[1]]))) for branch in kept)
+    renamed = (Branch(each.points, each.radius, (int(node[each.nodes[0]]), int(node[each.nodes[1]]))) for each in kept)
     return skeleton._replace(branches=tuple(renamed))
 
 

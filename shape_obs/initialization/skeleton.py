@@ -116,7 +116,7 @@ def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0)) -> Skel
     shift = np.array([origin[0] + left, origin[1] + top]) - cell + (cell - 1) / 2
     pixels = np.stack([places % grid.shape[1], places // grid.shape[1]], axis=1) * float(cell) + shift
     radius = np.maximum(away.ravel()[places] - _OFF_AXIS, 0.0).astype(np.float64) * cell
-    typical = float(np.median(radius)) if len(radius) else 0.5 * cell
+    typical = middle_value(radius) if len(radius) else 0.5 * cell
     nodes = np.unique(nodes, return_inverse=True)[1].reshape(-1, 2)
     ends = zip([0, *stops.tolist()], stops.tolist(), nodes.tolist(), strict=False)
     branches = _pruned(Branch(pixels[first:last], radius[first:last], (a, b)) for first, last, (a, b) in ends)
@@ -132,6 +132,12 @@ def _distances(grid: Mask) -> npt.NDArray[np.float32]:
 
 def _thickest(away: npt.NDArray[np.float32]) -> float:
     return max(float(away.max(initial=0.0)) - _OFF_AXIS, 0.0)
+
+
+@compiled("(f8[::1],)")
+def middle_value(values: Array) -> float:
+    """Return the median of one value or more."""
+    return np.median(values)
 
 
 def _framed(piece: Mask) -> Mask:
