@@ -26,12 +26,10 @@ from shape_obs.geometry.intersections import crossing_table, find_crossings, joi
 from shape_obs.geometry.observed import Observed
 from shape_obs.image.find_region import prepare
 from shape_obs.image.over_under import find_layers
-from shape_obs.image.pieces import split_components
 from shape_obs.image.roi import ROI
 from shape_obs.image.segmentation import Segmentation
-from shape_obs.image.sharing import owned_mask, share_pixels
 from shape_obs.shape import Detection, Shape
-from shape_obs.slots import Slots
+from shape_obs.slots import SLOT_FUNCTIONS, Slots
 from shape_obs.tracker import Moment, Tracker
 from shape_obs.tracking.missing import Clock
 from shape_obs.tracking.prediction import TRACK_FUNCTIONS, Fit
@@ -82,9 +80,8 @@ class ShapeDetector:
         self._without_rule = [spec.name for spec in self.shapes if spec.segmentation is None]
         functions = [*prepare(spec.segmentation for spec in self.shapes), *SHAPE_FUNCTIONS, *TRACK_FUNCTIONS]
         functions += (function for spec in self.shapes for function in spec.compiled_functions)
-        functions += [share_pixels, split_components, owned_mask] * any(
-            spec.count is not None for spec in self.config.shapes
-        )
+        if any(spec.count is not None for spec in self.config.shapes):
+            functions += SLOT_FUNCTIONS
         compile_now(functions)
         if any(spec.lift == "cloud" for spec in self.shapes):
             import_module("shape_obs.point_cloud.deprojection")  # so that the first frame does not wait for it

@@ -51,32 +51,67 @@ def find_components(mask: Mask, left: int, top: int, step: int, min_area: float,
         areas[label[at]] += stop - start
         if row & (step - 1) == step // 2 and start + ((shift(row, step) - start) & (step - 1)) < stop:
             met[label[at]] = 1
-    largest = 0
-    for piece in range(count):
-        areas[piece] *= met[piece]
-        largest = max(largest, areas[piece])
-    floor = max(min_area, 1.0, min_share * largest)
-    kept, found = np.empty(count, np.int64), 0
-    for piece in range(count):
-        if areas[piece] >= floor:
-            kept[found] = areas[piece]
-            found += 1
+    areas *= met
+    floor = max(min_area, 1.0, min_share * areas.max() if count else 0.0)
+    if count and areas.min() < floor:
+        mask = mask.copy()
+        for at in range(len(runs)):
+            if areas[label[at]] < floor:
+                for column in range(runs[at, 1] - left, runs[at, 2] - left):
+                    mask[runs[at, 0] - top, column] = 0
+    runs, box = _plausible(runs, label, areas, floor)
+    return mask, runs, areas[areas >= floor], (box if len(runs) else (left, top, 0, 0)), count_column_runs(runs)
+
+
+@compiled("(i8[:,::1], i8, i8, i8, i8, f8, f8)")
+def draw_components(
+    runs: Indices, left: int, top: int, right: int, bottom: int, min_area: float, min_share: float
+) -> tuple[Components, tuple[int, int]]:
+    """Draw the plausible components of runs, 8-connected, with a pixel of background around them.
+
+    Args:
+        runs: ``(R, 3)``, image coordinates, top to bottom and left to right.
+        left: First image column of what is drawn at most.
+        top: First image row.
+        right: Image column past the last one.
+        bottom: Image row past the last one.
+        min_area: Smaller components are dropped, pixels.
+        min_share: So are those smaller than this share of the largest.
+
+    Returns:
+        What ``find_components`` returns; image column and row of the mask's first pixel.
+    """
+    label, count = label_runs(runs)
+    areas = np.zeros(count, np.int64)
+    for at in range(len(runs)):
+        areas[label[at]] += runs[at, 2] - runs[at, 1]
+    floor = max(min_area, 1.0, min_share * areas.max() if count else 0.0)
+    runs, box = _plausible(runs.copy(), label, areas, floor)
+    box = box if len(runs) else (left, top, 0, 0)
+    left, top = max(box[0] - 1, left), max(box[1] - 1, top)
+    mask = np.zeros((min(box[1] + box[3] + 1, bottom) - top, min(box[0] + box[2] + 1, right) - left), np.uint8)
+    for at in range(len(runs)):
+        for column in range(runs[at, 1] - left, runs[at, 2] - left):
+            mask[runs[at, 0] - top, column] = 1
+    return (mask, runs, areas[areas >= floor], box, count_column_runs(runs)), (left, top)
+
+
+@compiled
+def _plausible(
+    runs: Indices, label: Indices, areas: Indices, floor: float
+) -> tuple[Indices, tuple[int, int, int, int]]:
+    """Move the runs of components that are large enough to the front; return them and the box around them."""
     held, first, last = 0, 0, 0
     for at in range(len(runs)):
-        row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]
         if areas[label[at]] >= floor:
+            row, start, stop = runs[at, 0], runs[at, 1], runs[at, 2]
             runs[held, 0], runs[held, 1], runs[held, 2] = row, start, stop
             first, last = (min(first, start), max(last, stop)) if held else (start, stop)
             held += 1
-        else:
-            if held == at:  # the first that is dropped
-                mask = mask.copy()
-            for column in range(start - left, stop - left):
-                mask[row - top, column] = 0
-    box = (left, top, 0, 0)
+    box = (0, 0, 0, 0)
     if held:
         box = (first, runs[0, 0], last - first, runs[held - 1, 0] - runs[0, 0] + 1)
-    return mask, runs[:held], kept[:found], box, count_column_runs(runs[:held])
+    return runs[:held], box
 
 
 @compiled(inline=True)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from shape_obs.frame import Frame
 from shape_obs.geometry.observed import MIN_SAMPLES
 from shape_obs.image.colour_search import find_by_colour, find_on_lattice, look_up, table_mask
-from shape_obs.image.connected_runs import find_components, near_mask
+from shape_obs.image.connected_runs import draw_components, find_components, near_mask
 from shape_obs.image.outline_tracing import trace_components
 from shape_obs.image.region import Region
 from shape_obs.image.roi import ROI, Window
@@ -69,6 +69,20 @@ def find_region(mask: npt.NDArray[np.uint8], window: Window, min_area: int, min_
     if not (mask.flags.c_contiguous and mask.flags.writeable):
         mask = mask.copy()  # compiled code distinguishes such arrays
     return _region(window, *find_components(mask, window.left, window.top, 1, min_area, min_share))
+
+
+def region_of_runs(runs: npt.NDArray[np.int64], within: Window, min_area: int, min_share: float) -> Region:
+    """Keep the plausible components of runs of pixels.
+
+    Args:
+        runs: ``(R, 3)``, see ``connected_runs``.
+        within: The part of the image that they lie in; the region's window is as small as they are.
+        min_area: Smaller components are dropped, pixels.
+        min_share: So are those smaller than this share of the largest.
+    """
+    left, top, wide, high = within
+    found, (left, top) = draw_components(runs, left, top, left + wide, top + high, min_area, min_share)
+    return _region(Window(left, top, found[0].shape[1], found[0].shape[0]), *found)
 
 
 def _region(

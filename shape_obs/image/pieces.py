@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.image.connected_runs import label_runs, nearest_pixel
+from shape_obs.image.find_region import region_of_runs
 from shape_obs.image.region import Region
-from shape_obs.image.sharing import Owners, part_of
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -29,15 +29,16 @@ def component_parts(region: Region, curves: Sequence[Array], min_area: int, min_
         None where a piece belongs to two curves, or it is not clear which pieces belong to one.
     """
     points, stops = np.ascontiguousarray(np.concatenate(curves)), np.cumsum([len(curve) for curve in curves])
-    owners, apart = split_components(region.runs, points, stops)
+    owner, apart = split_components(region.runs, points, stops)
     if not apart:
         return None
-    return [part_of(region, owners, [k], min_area, min_share) for k in range(len(curves))]
+    own = [region.runs[owner == k] for k in range(len(curves))]
+    return [region_of_runs(runs, region.window, min_area, min_share) for runs in own]
 
 
 @compiled("(i8[:,::1], f8[:,::1], i8[::1])")
-def split_components(runs: Indices, points: Array, stops: Indices) -> tuple[Owners, bool]:
-    """Return which curve each pixel of a mask belongs to where every curve has connected pieces of its own.
+def split_components(runs: Indices, points: Array, stops: Indices) -> tuple[Indices, bool]:
+    """Return the curve that each run of a mask belongs to where every curve has connected pieces of its own.
 
     Args:
         runs: ``(R, 3)`` of the mask, see ``connected_runs``.
@@ -45,8 +46,8 @@ def split_components(runs: Indices, points: Array, stops: Indices) -> tuple[Owne
         stops: ``(K,)`` where each curve ends in ``points``.
 
     Returns:
-        Bits of each pixel, see ``share_pixels``; whether no piece is passed by two curves, and each curve passes one
-        with at least half of its points.
+        ``(R,)`` the index of a curve, -1 for pieces that no curve passes; whether no piece is passed by two curves, and
+        each curve passes one with at least half of its points.
     """
     label, count = label_runs(runs)
     owner = np.full(count, -1, np.int64)
@@ -64,15 +65,11 @@ def split_components(runs: Indices, points: Array, stops: Indices) -> tuple[Owne
             if low > 0 and runs[low - 1, 0] == row and column < runs[low - 1, 2]:
                 piece = label[low - 1]
                 if owner[piece] >= 0 and owner[piece] != k:
-                    return np.zeros(0, np.uint32), False
+                    return label, False
                 owner[piece] = k
                 met += 1
         if 2 * met < stops[k] - first:
-            return np.zeros(0, np.uint32), False
-    owners, pixel = np.zeros(np.sum(runs[:, 2] - runs[:, 1]), np.uint32), 0
+            return label, False
     for at in range(len(runs)):
-        for _ in range(runs[at, 1], runs[at, 2]):
-            if owner[label[at]] >= 0:
-                owners[pixel] = np.uint32(1 << owner[label[at]])
-            pixel += 1
-    return owners, True
+        label[at] = owner[label[at]]
+    return label, True

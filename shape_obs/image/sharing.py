@@ -10,13 +10,11 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.image.connected_runs import nearest_pixel
-from shape_obs.image.find_region import find_region
+from shape_obs.image.find_region import region_of_runs
 from shape_obs.image.region import Region
-from shape_obs.image.roi import Window
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.uint8]
 Owners = npt.NDArray[np.uint32]
 Singles = npt.NDArray[np.float32]
 
@@ -216,34 +214,26 @@ def part_of(region: Region, owners: Owners, curves: Iterable[int], min_area: int
         min_area: Smaller pieces are dropped, pixels.
         min_share: So are those smaller than this share of the largest.
     """
-    mask, left, top = owned_mask(region.runs, owners, sum(1 << k for k in curves))
-    # A pixel of background is around it, but for what the whole region's window cuts off.
-    near, above = max(region.window.left - left, 0), max(region.window.top - top, 0)
-    right, bottom = region.window.left + region.window.width - left, region.window.top + region.window.height - top
-    mask = mask[above:bottom, near:right]
-    return find_region(mask, Window(left + near, top + above, mask.shape[1], mask.shape[0]), min_area, min_share)
+    return region_of_runs(
+        owned_runs(region.runs, owners, sum(1 << k for k in curves)), region.window, min_area, min_share
+    )
 
 
 @compiled("(i8[:,::1], u4[::1], i8)")
-def owned_mask(runs: Indices, owners: Owners, bits: int) -> tuple[Mask, int, int]:
-    """Return the mask of the pixels that have one of some bits, with a pixel of background around it.
-
-    Returns:
-        ``(h, w)`` 0 and 1; the image column and row of its first pixel.
-    """
-    left, right, top, bottom, pixel = 1 << 30, 0, 1 << 30, 0, 0
+def owned_runs(runs: Indices, owners: Owners, bits: int) -> Indices:
+    """Return the runs of the pixels that have one of some bits, ``(S, 3)``."""
+    found, size, pixel = np.empty((2 * len(runs) + 16, 3), np.int64), 0, 0
     for at in range(len(runs)):
+        inside = False
         for column in range(runs[at, 1], runs[at, 2]):
-            if owners[pixel] & bits:
-                left, right = min(left, column), max(right, column + 1)
-                top, bottom = min(top, runs[at, 0]), runs[at, 0] + 1
+            owned = owners[pixel] & bits != 0
             pixel += 1
-    if bottom == 0:
-        return np.zeros((3, 3), np.uint8), 0, 0
-    mask, pixel = np.zeros((bottom - top + 2, right - left + 2), np.uint8), 0
-    for at in range(len(runs)):
-        for column in range(runs[at, 1], runs[at, 2]):
-            if owners[pixel] & bits:
-                mask[runs[at, 0] - top + 1, column - left + 1] = 1
-            pixel += 1
-    return mask, left - 1, top - 1
+            if owned and not inside:
+                if size == len(found):
+                    found = np.concatenate((found, np.empty_like(found)))
+                found[size, 0], found[size, 1] = runs[at, 0], column
+                size += 1
+            if owned:
+                found[size - 1, 2] = column + 1
+            inside = owned
+    return found[:size].copy()

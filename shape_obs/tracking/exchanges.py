@@ -7,16 +7,18 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.initialization.gaps import Lead, bending, lead
-from shape_obs.tracking.scene_doubt import nearest_distances
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
 
 # In widths: ropes touch where their middles are nearer; over how much of a rope its direction is taken next to there.
 _TOUCH: Final = 1.2
 _REACH: Final = 2.0
 _NOISE: Final = 0.1  # rad^2 that ropes that have not exchanged their ends may seem to gain
+_BLOCK: Final = 16  # points of a curve with a common bounding box
 
 
 def exchange_gain(first: FittedCurve, second: FittedCurve, width: float) -> float:
@@ -29,24 +31,56 @@ def exchange_gain(first: FittedCurve, second: FittedCurve, width: float) -> floa
         second: Another one.
         width: Of both, pixels.
     """
-    coarse = [np.ascontiguousarray(curve.points[::4]) for curve in (first, second)]
-    if nearest_distances(*coarse).min() > 2 * _TOUCH * width:
-        return 0.0
-    apart = np.linalg.norm(first.points[:, None] - second.points[None], axis=2)
-    nearest = apart.argmin(axis=1)
-    met = np.flatnonzero(np.diff(np.concatenate([[False], apart.min(axis=1) < _TOUCH * width, [False]])))
     gain = 0.0
-    for start, stop in met.reshape(-1, 2):
-        other = nearest[start:stop]
+    met = meetings(np.ascontiguousarray(first.points), np.ascontiguousarray(second.points), _TOUCH * width)
+    for start, last, low, high in met.tolist():
         leads = [
             _lead(curve, index, step, width)
-            for curve, index, step in (
-                (first, start, -1), (first, stop - 1, 1), (second, other.min(), -1), (second, other.max(), 1),
-            )
-        ]  # fmt: skip
+            for curve, index, step in ((first, start, -1), (first, last, 1), (second, low, -1), (second, high, 1))
+        ]
         if None not in leads:
             gain = max(gain, _gain([each for each in leads if each is not None]))
     return max(gain - _NOISE, 0.0)
+
+
+@compiled("(f8[:,::1], f8[:,::1], f8)")
+def meetings(points: Array, other: Array, near: float) -> Indices:
+    """Return the stretches of a curve whose points lie nearer than ``near`` to points of another one.
+
+    Args:
+        points: ``(P, 2)``.
+        other: ``(Q, 2)``.
+        near: Pixels.
+
+    Returns:
+        ``(M, 4)`` the first and the last point of a stretch, and the first and the last that are nearest to it.
+    """
+    blocks = (len(other) + _BLOCK - 1) // _BLOCK
+    box = np.empty((blocks, 4))  # low u, low v, high u, high v
+    for b in range(blocks):
+        for d in range(2):
+            part = other[b * _BLOCK : (b + 1) * _BLOCK, d]
+            box[b, d], box[b, 2 + d] = part.min(), part.max()
+    found, size, meets = np.empty((len(points) // 2 + 1, 4), np.int64), 0, False
+    for p in range(len(points)):
+        u, v, least, nearest = points[p, 0], points[p, 1], near * near, -1
+        for b in range(blocks):
+            du, dv = max(box[b, 0] - u, u - box[b, 2], 0.0), max(box[b, 1] - v, v - box[b, 3], 0.0)
+            if du * du + dv * dv >= least:
+                continue
+            for q in range(b * _BLOCK, min((b + 1) * _BLOCK, len(other))):
+                square = (other[q, 0] - u) ** 2 + (other[q, 1] - v) ** 2
+                if square < least:
+                    least, nearest = square, q
+        if nearest >= 0 and not meets:
+            found[size, 0], found[size, 2], found[size, 3] = p, nearest, nearest
+            size += 1
+        meets = nearest >= 0
+        if meets:
+            found[size - 1, 1] = p
+            found[size - 1, 2] = min(found[size - 1, 2], nearest)
+            found[size - 1, 3] = max(found[size - 1, 3], nearest)
+    return found[:size]
 
 
 def _lead(curve: FittedCurve, index: int, step: int, width: float) -> Lead | None:

@@ -53,7 +53,7 @@ _EVERY_SHAPE = (
     "tests/test_degenerate_input.py",
 )
 _SEVERAL = (
-    "tests/test_slots.py",
+    "tests/slots/test_slots.py",
     "tests/tracking/test_scene_doubt.py",
     "tests/bench/test_several_rope_claims.py",
     "tests/cli/test_detect_several.py",

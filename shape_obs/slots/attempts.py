@@ -1,0 +1,143 @@
+"""Attempts: fits of several slots to one frame, not yet followed, and what speaks against them."""
+
+from __future__ import annotations
+
+from itertools import combinations, cycle
+from statistics import median
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.configurations.base import Scene
+from shape_obs.geometry.observed import Observed
+from shape_obs.image.region import Region
+from shape_obs.image.sharing import CLOSE, share
+from shape_obs.tracker import Moment
+from shape_obs.tracking.exchanges import exchange_gain
+from shape_obs.tracking.prediction import Fit, Prediction, Track
+from shape_obs.tracking.scene_doubt import changed_sides, doubtful_area, doubtful_turns, more_bent, taken_over
+
+Array = npt.NDArray[np.float64]
+
+DOUBTFUL: Final = 1.0  #: Squares of a width: less may speak against fits that are right.
+_EXCHANGED: Final = 20.0  # of bending energy that an exchange of ends would save
+_BENDING: Final = 3.0  # squares of a width that a unit of bending energy counts as: a kink of 40 degrees has a third
+# Points of a rope are taken over where they lie so many widths nearer to another one than to where it is expected; the
+# share of them, at most, if the other one is lost, and if it is found as well.
+_OTHERS: Final = 1.0
+_TAKEN: Final = 0.15
+_COVERED: Final = 0.5
+_CHANGED_SIDES: Final = 1.0  # what it costs that two ropes change sides, in widths of RMS distance from the tracks
+
+
+class Attempt(NamedTuple):
+    """A fit that the track has not followed yet."""
+
+    found: Fit
+    observed: Observed
+    prediction: Prediction | None
+
+    @property
+    def is_found(self) -> bool:
+        """Whether the object is seen, so that its track can follow it."""
+        return not self.found.reason or self.found.follow
+
+
+class Seen(NamedTuple):
+    """A frame: the mask of all slots, their tracks, where each is expected, and where its nodes were last.
+
+    ``ahead`` and ``last`` are ``(K, 2)`` pixels.
+    """
+
+    region: Region
+    moment: Moment
+    scene: Scene
+    tracks: list[Track | None]
+    expected: list[Prediction | None]
+    ahead: list[Array | None]
+    last: list[Array | None]
+
+
+def doubt_of(seen: Seen, tries: list[Attempt | None], *, apart: bool = False) -> float:
+    """Return what speaks against fits, in squares of a width: pixels of no rope, what was not seen, new bends.
+
+    A slot that was lost counts as much as its rope. What may well be, with a rope's ragged border, counts nothing.
+    """
+    forms = [each.found for each in tries if each is not None and each.found.form is not None and each.is_found]
+    if not forms:
+        return np.inf
+    widths = [found.object_width for found in forms]
+    if apart:  # each has pieces of its own: what a curve leaves out of them its own fit has weighed
+        beyond = max(seen.region.area - sum(each.observed.area for each in tries if each is not None), 0)
+    else:
+        beyond = share(seen.region, [found.form.points for found in forms], widths, CLOSE)[2]
+    area = beyond + sum(doubtful_area(found.form, found.object_width) for found in forms)
+    lost = sum(
+        track.size / width
+        for track, each, width in zip(seen.tracks, tries, cycle(widths), strict=False)
+        if track is not None and each is not None and not each.is_found
+    )
+    bent = 0.0
+    for track, each in zip(seen.tracks, tries, strict=True):
+        if each is not None and each.found.nodes is not None and track is not None and each.is_found:
+            bent += more_bent(each.found.nodes, track.nodes, each.found.object_width)
+    if not apart:
+        strands = [(found.form, found.object_width) for found in forms if found.form.points.shape[1] == 2]
+        bent += _EXCHANGED * sum(
+            exchange_gain(one, other, width) for (one, width), (other, _) in combinations(strands, 2)
+        )
+    doubt = lost + _BENDING * bent + area / median(widths) ** 2
+    return doubt if doubt > DOUBTFUL else 0.0
+
+
+def price_of(seen: Seen, tries: list[Attempt | None], doubt: float) -> float:
+    """Return what speaks against fits, with how far they are from where the tracks go, and changes of sides."""
+    price = doubt + _CHANGED_SIDES * changes_of_sides(seen, tries)
+    for each, ahead in zip(tries, seen.ahead, strict=True):
+        if each is not None and ahead is not None and each.is_found and each.found.nodes is not None:
+            step = in_image(each.found.nodes, seen.scene) - ahead
+            price += float(np.sqrt(np.mean(np.sum(step * step, axis=1)))) / max(each.found.object_width, 1.0)
+    return price
+
+
+def changes_of_sides(seen: Seen, tries: list[Attempt | None]) -> int:
+    """Return how many pairs of ropes have changed sides."""
+    placed = [
+        (last, in_image(each.found.nodes, seen.scene), each.found.object_width)
+        for each, last in zip(tries, seen.last, strict=True)
+        if each is not None and last is not None and each.is_found and each.found.nodes is not None
+    ]
+    return sum(
+        changed_sides(before, other_before, after, other_after, width)
+        for (before, after, width), (other_before, other_after, _) in combinations(placed, 2)
+    )
+
+
+def kept_apart(seen: Seen, tries: list[Attempt | None]) -> list[Attempt | None]:
+    """Refuse what was found where another rope is expected, or turns sharply: a rope's own part may be hidden."""
+    kept = list(tries)
+    for k, each in enumerate(tries):
+        own = seen.ahead[k]
+        if each is None or own is None or not each.is_found or each.found.form.points.shape[1] != 2:
+            continue
+        form, lost, found = each.found.form, [], []
+        for j, other in enumerate(tries):
+            if j != k and other is not None and other.is_found and other.found.form.points.shape[1] == 2:
+                found.append(other.found.form.points)
+            elif j != k and (at := seen.ahead[j]) is not None:
+                lost.append(at)
+        seen_points, margin = form.points[~form.interpolated], _OTHERS * each.found.object_width
+        shares = taken_over(seen_points, own, lost, margin), taken_over(seen_points, own, found, margin)
+        if shares[0] > _TAKEN or shares[1] > _COVERED:
+            kept[k] = each._replace(found=Fit(reason="what was found lies where another rope was"))
+        elif doubtful_turns(form, each.found.object_width):
+            kept[k] = each._replace(found=Fit(reason="what was found turns sharply where ropes meet"))
+    return kept
+
+
+def in_image(nodes: Array, scene: Scene) -> Array:
+    """Return ``(K, 2)`` pixels of nodes in pixels or metres."""
+    if nodes.shape[1] == 2 or scene.intrinsics is None:
+        return nodes
+    return np.ascontiguousarray(scene.intrinsics.project(nodes))

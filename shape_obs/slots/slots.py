@@ -1,0 +1,197 @@
+"""Slots: several objects of one kind in one mask, each of them followed by a tracker of its own."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from statistics import median
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.config.detector_config import DetectorConfig
+from shape_obs.configurations.base import Configuration, Scene
+from shape_obs.geometry.polyline import catmull_rom
+from shape_obs.image.connected_runs import draw_components
+from shape_obs.image.pieces import component_parts, split_components
+from shape_obs.image.region import Region
+from shape_obs.image.segmentation import Segmentation
+from shape_obs.image.sharing import EXPECTED, FOUND, MOST, WIDE, Reach, owned_runs, part_of, share, share_pixels
+from shape_obs.shape import Shape
+from shape_obs.slots.attempts import (
+    DOUBTFUL,
+    Attempt,
+    Seen,
+    changes_of_sides,
+    doubt_of,
+    in_image,
+    kept_apart,
+    price_of,
+)  # fmt: skip
+from shape_obs.tracker import Moment, Tracker
+from shape_obs.tracking.exchanges import meetings
+from shape_obs.tracking.prediction import Fit
+from shape_obs.tracking.scene_doubt import bending_energy, nearest_distances, sharp_turns, side_distances
+from shape_obs.tracking.seats import add_pieces, near_tracks, seat_others, seat_tracked
+
+Array = npt.NDArray[np.float64]
+
+_PIECE: Final = 1.5  # widths: a piece of a rope that something cuts lies no farther from where the rope is expected
+_KEPT: Final = 4.0  # widths: what lies on average so near to where a rope is expected is no new one
+_FAR: Final = 0.1  # of the diagonal, in an interval: an object that is found farther from a track is another one
+_LAPSE: Final = 5.0  # intervals without an object after which it is expected no farther away
+_PATIENCE: Final = 10  # frames between two searches for objects that do not come
+#: The compiled functions that slots may call.
+SLOT_FUNCTIONS: Final = (
+    share_pixels, split_components, owned_runs, draw_components, nearest_distances, bending_energy, sharp_turns,
+    side_distances, meetings,
+)  # fmt: skip
+_NOTHING: Final = "no other object was found in the mask"
+
+
+class Slots:
+    """Follow several objects of one kind, which may lie over each other.
+
+    Args:
+        spec: What the objects are, and how many; the detector's defaults filled in.
+        config: The detector's arguments.
+
+    Attributes:
+        trackers: One for each slot.
+        more: How many objects were found in the last frame that have no slot.
+    """
+
+    def __init__(self, spec: Configuration, config: DetectorConfig) -> None:
+        self.spec, self.more = spec, 0
+        self.trackers = [Tracker(slot, config) for slot in spec.slots()]
+        self._wait, self._doubt_before = 0, 0.0
+
+    def attempt(self, region: Region, moment: Moment, scene: Scene) -> list[Attempt | None]:
+        """Fit each slot to its part of a mask; None for a slot without one. The tracks stay as they are."""
+        if region.refusal:
+            return [Attempt(Fit(reason=region.refusal), region, None)] * len(self.trackers)
+        expected = [tracker.foresee(region, moment) for tracker in self.trackers]
+        tracks = [tracker.track for tracker in self.trackers]
+        ahead, last = ([each and in_image(each.nodes, scene) for each in row] for row in (expected, tracks))
+        seen = Seen(region, moment, scene, tracks, expected, ahead, last)
+        if not self.spec.is_ribbon or not any(expected):
+            return self._search(seen, [None] * len(self.trackers))
+        tries, met = self._follow(seen, ahead, EXPECTED)
+        doubt = doubt_of(seen, tries, apart=not met)
+        if met and (doubt > 0 or changes_of_sides(seen, tries)):
+            # Ropes that run into each other stop; where they are expected, they may have changed places.
+            both = zip(last, ahead, strict=True)
+            halfway = [None if at is None or to is None else (at + to) / 2 for at, to in both]
+            ways = [tries, *(self._follow(seen, nodes, WIDE)[0] for nodes in (last, halfway))]
+            doubts = [doubt, *(doubt_of(seen, each) for each in ways[1:])]
+            best = int(np.argmin([price_of(seen, *each) for each in zip(ways, doubts, strict=True)]))
+            tries, doubt = ways[best], doubts[best]
+        if doubt > 0 and self._looks_again(doubt):
+            found = self._search(seen, tries)
+            if price_of(seen, found, doubt_of(seen, found)) < price_of(seen, tries, doubt):
+                return found
+            self._wait = _PATIENCE
+        return tries
+
+    def accept(self, tries: list[Attempt | None], moment: Moment, scene: Scene) -> list[Shape]:
+        """Advance the tracks to what was found, and return the shape of each slot.
+
+        With ``count="all"`` slots that hold nothing are left out.
+        """
+        shapes = []
+        for tracker, each in zip(self.trackers, tries, strict=True):
+            if each is None:
+                found = Fit(reason=_NOTHING)
+            else:
+                found = tracker.accept(*each, tracker.target(moment), moment, scene)
+            if each is not None or tracker.is_held(moment) or self.spec.count != "all":
+                shapes.append(tracker.finish(found, moment))
+        return shapes
+
+    def _follow(self, seen: Seen, nodes: list[Array | None], how: Reach) -> tuple[list[Attempt | None], bool]:
+        """Fit the slots that have a track to the parts of the mask around their nodes; return whether ribbons met."""
+        tries: list[Attempt | None] = [None] * len(self.trackers)
+        known, curves, widths = [], [], []
+        for k, (each, at) in enumerate(zip(seen.expected, nodes, strict=True)):
+            if each is not None and at is not None:
+                known.append(k)
+                curves.append(catmull_rom(at, 4, False))
+                widths.append(each.width or seen.region.width)
+        if not known:
+            return tries, False
+        floor = self.spec.segmentation or Segmentation
+        if apart := component_parts(seen.region, curves, floor.min_area, floor.min_share):
+            for k, part in zip(known, apart, strict=True):
+                tries[k] = self._try(k, part, seen)
+            return tries, False
+        owners, contested, _ = share(seen.region, curves, widths, how)
+        for at in np.flatnonzero(contested).tolist():  # each is first fitted to what is its own for certain
+            again = self._try(known[at], self._part(seen.region, owners, [at]), seen)
+            if not again.found.reason:
+                curves[at] = again.found.form.points
+        met = bool(contested.any())
+        owners, _, _ = share(seen.region, curves, widths, FOUND)
+        for at, k in enumerate(known):
+            tries[k] = self._try(k, self._part(seen.region, owners, [at]), seen)
+        return (kept_apart(seen, tries) if met else tries), met
+
+    def _looks_again(self, doubt: float) -> bool:
+        """Return whether all objects are to be found again: not for long where that brought nothing lately."""
+        self._wait = 0 if abs(doubt - self._doubt_before) > DOUBTFUL else self._wait - 1
+        self._doubt_before = doubt
+        return self._wait <= 0
+
+    def _search(self, seen: Seen, earlier: list[Attempt | None]) -> list[Attempt | None]:
+        """Find all objects of the mask, and fit each slot to its own."""
+        region, tries = seen.region, list(earlier)
+        every, reason = self.spec.find_objects(region)
+        objects = every[:MOST]  # the largest: pixels are shared among no more
+        width = median(each.width for each in objects) if objects else 0.0
+        far = _FAR * math.hypot(*seen.moment.size)
+        # What was lost for long may be anywhere, but so may be what has come instead.
+        reach = [
+            0.0 if each is None else _KEPT * width if each.stale else far * min(each.lapse, _LAPSE)
+            for each in seen.expected
+        ]
+        seats = seat_tracked(objects, seen.ahead, reach)
+        free = [k for k, each in enumerate(seen.expected) if each is None or each.stale]
+        targets = [tracker.target(seen.moment) for tracker in self.trackers]
+        kept = near_tracks(objects, seen.ahead, _KEPT * width) if objects else ()
+        seats = seat_others(
+            objects, seats, targets, sorted(free, key=lambda k: self.trackers[k].track is not None), kept
+        )
+        self.more = len(every) - sum(at >= 0 for at in seats)
+        shared = [at for at, each in enumerate(objects) if each.region is None]
+        curves, widths = [objects[at].curve.points for at in shared], [objects[at].width for at in shared]
+        owners = share(region, curves, widths, FOUND)[0] if shared else None
+        reach = _PIECE * median(widths) if shared else 0.0
+        for k, pieces in enumerate(add_pieces(objects, seats, seen.ahead, reach)):
+            if pieces:
+                part = objects[pieces[0]].region
+                if part is None:
+                    part = self._part(region, owners, [shared.index(at) for at in pieces])
+                    part = part if len(pieces) > 1 else replace(part, axis=objects[pieces[0]].curve)
+                tries[k] = self._try(k, part, seen)
+            elif tries[k] is None and not objects:
+                tries[k] = Attempt(Fit(reason=reason), region, None)
+        return kept_apart(seen, tries) if self.spec.is_ribbon else tries
+
+    def _part(self, region: Region, owners: Any, ribbons: list[int]) -> Region:
+        """Return the part of a mask that belongs to some of the ribbons."""
+        floor = self.spec.segmentation or Segmentation
+        return part_of(region, owners, ribbons, floor.min_area, floor.min_share)
+
+    def _try(self, k: int, part: Region, seen: Seen) -> Attempt:
+        """Fit one slot to its part of the mask."""
+        tracker, observed, scene = self.trackers[k], part, seen.scene
+        if self.spec.lift == "cloud":
+            from shape_obs.point_cloud.deprojection import deproject  # most detectors see no clouds
+
+            assert scene.depth is not None
+            assert scene.intrinsics is not None
+            observed = deproject(part, scene.depth, scene.intrinsics)
+        prediction = tracker.expect(observed, seen.moment)
+        if part.refusal:
+            return Attempt(Fit(reason=part.refusal), observed, prediction)
+        return Attempt(tracker.spec.fit(observed, prediction, tracker.target(seen.moment), scene), observed, prediction)
