@@ -127,7 +127,8 @@ def kept_apart(seen: Seen, tries: list[Attempt | None]) -> list[Attempt | None]:
                 found.append(other.found.form.points)
             elif j != k and (at := seen.ahead[j]) is not None:
                 lost.append(at)
-        seen_points, margin = form.points[~form.interpolated][::4], _OTHERS * each.found.object_width
+        seen_points = np.ascontiguousarray(form.points[~form.interpolated][::4])  # a width apart
+        margin = _OTHERS * each.found.object_width
         shares = taken_over(seen_points, own, lost, margin), taken_over(seen_points, own, found, margin)
         if shares[0] > _TAKEN or shares[1] > _COVERED:
             kept[k] = each._replace(found=Fit(reason="what was found lies where another rope was"))
