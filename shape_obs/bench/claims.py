@@ -69,6 +69,7 @@ def _tangles(effort: Effort) -> Tables:
 def _several(effort: Effort) -> Tables:
     from shape_obs.bench import rope_identity_claims as identity
     from shape_obs.bench import several_rope_claims as several
+    from shape_obs.bench.several_rope_speed import warm_costs
 
     cold = list(several.cold_cells(effort.count(200), effort.seed))
     yield "scenes of several ropes of one colour, cold", cold
@@ -76,7 +77,9 @@ def _several(effort: Effort) -> Tables:
     yield "three ropes that move, tracked over 180 frames", tracked
     above = several.levels(effort.count(200), effort.seed)
     yield "which strand is above, ropes of 8 mm or more at 0.6 m", above
-    yield "several ropes: asked and seen", several.targets(cold, tracked, above)
+    warm = warm_costs(effort.count(900), effort.seed)
+    yield "the time of a frame, warm", warm
+    yield "several ropes: asked and seen", several.targets(cold, tracked, above, warm)
 
 
 def _hands(effort: Effort) -> Tables:

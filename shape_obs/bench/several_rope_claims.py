@@ -101,13 +101,14 @@ def detect_scene(
     return detector.detect(scene.rgb if picture else None, depth, camera)
 
 
-def targets(cold: Sequence[Row], tracked: Sequence[Row], above: Sequence[Row]) -> Iterator[Row]:
+def targets(cold: Sequence[Row], tracked: Sequence[Row], above: Sequence[Row], warm: Sequence[Row]) -> Iterator[Row]:
     """Yield what is asked of several ropes, and what was seen.
 
     Args:
         cold: Of ``cold_cells``.
         tracked: Of ``rope_identity_claims.track_table``.
         above: Of ``levels``.
+        warm: Of ``several_rope_speed.warm_costs``.
     """
     for most, least in ((3, 0.98), (5, 0.95)):
         some = [row for row in cold if most - 1 <= row.ropes <= most]
@@ -116,6 +117,8 @@ def targets(cold: Sequence[Row], tracked: Sequence[Row], above: Sequence[Row]) -
     three = [row for row in cold if row.ropes == 3]
     yield at_most("three ropes, cold: time over the peer's", 0.2, median(row.to_peer for row in three))
     yield at_most("three ropes, cold: time over plain thinning", 2.0, median(row.to_thinning for row in three))
+    for row in warm[1:]:
+        yield at_most(f"{row.scene}, warm: time over one rope's", 1.5, row.to_one)
     for what in ("swaps", "flips"):
         yield at_most(f"tracked: {what}", 0, sum(row[what] for row in tracked), "")
     measured = max(sum(row.measured for row in tracked), 1)

@@ -104,13 +104,22 @@ def _measure(square: Singles, runs: Indices, begin: Indices, curve: Array, radiu
             below = (row - v) * (row - v)
             half = np.sqrt(max(far * far - below, 0.0))
             for at in range(rows[row - runs[0, 0]], rows[row - runs[0, 0] + 1]):
-                first = max(int(np.ceil(u - half)), runs[at, 1])
-                for column in range(first, min(int(np.floor(u + half)) + 1, runs[at, 2])):
-                    away = below + (column - u) * (column - u)
-                    if at_tip and (column - curve[tip, 0]) * out_u + (row - curve[tip, 1]) * out_v > 0:
-                        away = (np.hypot(column - curve[tip, 0], row - curve[tip, 1]) + radius) ** 2
-                    pixel = begin[at] + column - runs[at, 1]
-                    square[pixel] = min(square[pixel], np.float32(away))
+                first, stop = max(int(np.ceil(u - half)), runs[at, 1]), min(int(np.floor(u + half)) + 1, runs[at, 2])
+                if first >= stop:
+                    continue
+                pixels = square[begin[at] + first - runs[at, 1] : begin[at] + stop - runs[at, 1]]
+                if not at_tip:  # a loop without branches takes several pixels at once
+                    for i in range(len(pixels)):
+                        across = np.float32(first + i - u)
+                        away = np.float32(below) + across * across
+                        pixels[i] = away if away < pixels[i] else pixels[i]
+                    continue
+                for i in range(len(pixels)):
+                    across, beyond = first + i - u, first + i - curve[tip, 0]
+                    away = np.float32(below + across * across)
+                    if beyond * out_u + (row - curve[tip, 1]) * out_v > 0:
+                        away = np.float32((np.hypot(beyond, row - curve[tip, 1]) + radius) ** 2)
+                    pixels[i] = min(pixels[i], away)
 
 
 @compiled
@@ -222,18 +231,24 @@ def part_of(region: Region, owners: Owners, curves: Iterable[int], min_area: int
 @compiled("(i8[:,::1], u4[::1], i8)")
 def owned_runs(runs: Indices, owners: Owners, bits: int) -> Indices:
     """Return the runs of the pixels that have one of some bits, ``(S, 3)``."""
-    found, size, pixel = np.empty((2 * len(runs) + 16, 3), np.int64), 0, 0
+    found, size, begin = np.empty((2 * len(runs) + 16, 3), np.int64), 0, 0
     for at in range(len(runs)):
-        inside = False
-        for column in range(runs[at, 1], runs[at, 2]):
-            owned = owners[pixel] & bits != 0
-            pixel += 1
-            if owned and not inside:
-                if size == len(found):
-                    found = np.concatenate((found, np.empty_like(found)))
-                found[size, 0], found[size, 1] = runs[at, 0], column
-                size += 1
+        first, inside = runs[at, 1], False
+        pixels = owners[begin : begin + runs[at, 2] - first]
+        begin += len(pixels)
+        for i in range(len(pixels)):
+            owned = pixels[i] & np.uint32(bits) != 0
+            if owned == inside:
+                continue
+            if size == len(found):
+                found = np.concatenate((found, np.empty_like(found)))
             if owned:
-                found[size - 1, 2] = column + 1
+                found[size, 0], found[size, 1] = runs[at, 0], first + i
+            else:
+                found[size, 2] = first + i
+                size += 1
             inside = owned
+        if inside:
+            found[size, 2] = runs[at, 2]
+            size += 1
     return found[:size].copy()

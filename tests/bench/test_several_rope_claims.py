@@ -6,6 +6,7 @@ import pytest
 from shape_obs.bench.rope_identity_claims import follow, rope_tracks, track_table
 from shape_obs.bench.several_rope_claims import cold_cells, levels, targets
 from shape_obs.bench.several_rope_peer import is_installed
+from shape_obs.bench.several_rope_speed import warm_costs
 from shape_obs.bench.synthetic.moving_ropes import Moment
 from shape_obs.bench.tables import Row
 
@@ -23,6 +24,11 @@ def tracks():
 @pytest.fixture(scope="module")
 def above():
     return levels(8)
+
+
+@pytest.fixture(scope="module")
+def warm():
+    return warm_costs(40)
 
 
 def test_nearly_all_ropes_of_drawn_scenes_are_found_cold(cold):
@@ -54,8 +60,14 @@ def test_the_upper_strand_is_seen_in_pictures_and_in_noisy_depth(above):
         assert row.right >= 0.9
 
 
-def test_every_target_is_compared_with_what_was_seen(cold, tracks, above):
-    rows = list(targets(cold, tracks, above))
+def test_the_same_ropes_are_followed_apart_and_where_they_meet(warm):
+    assert [row.found for row in warm] == [1, 1, 1]
+    assert warm[0].to_one == 1
+    assert all(row.to_one == row.ms / warm[0].ms > 0 for row in warm)
+
+
+def test_every_target_is_compared_with_what_was_seen(cold, tracks, above, warm):
+    rows = list(targets(cold, tracks, above, warm))
     assert {row.reached for row in rows} <= {"yes", "no", "not measured"}
     assert sum("tracked" in row.what for row in rows) == 3
 
