@@ -116,7 +116,7 @@ class Slots:
         for k, (each, at) in enumerate(zip(seen.expected, nodes, strict=True)):
             if each is not None and at is not None:
                 known.append(k)
-                curves.append(catmull_rom(at, 4, False))
+                curves.append(_from_tip_to_tip(at))
                 widths.append(each.width or seen.region.width)
         if not known:
             return tries, False
@@ -195,3 +195,9 @@ class Slots:
         if part.refusal:
             return Attempt(Fit(reason=part.refusal), observed, prediction)
         return Attempt(tracker.spec.fit(observed, prediction, tracker.target(seen.moment), scene), observed, prediction)
+
+
+def _from_tip_to_tip(nodes: Array) -> Array:
+    """Return a smooth curve through nodes, which are the middles of equal pieces, to both ends of the pieces."""
+    tips = 1.5 * nodes[[0, -1]] - 0.5 * nodes[[1, -2]]
+    return catmull_rom(np.concatenate([tips[:1], nodes, tips[1:]]), 4, False)
