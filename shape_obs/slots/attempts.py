@@ -23,6 +23,10 @@ Array = npt.NDArray[np.float64]
 DOUBTFUL: Final = 1.0  #: Squares of a width: less may speak against fits that are right.
 _EXCHANGED: Final = 20.0  # of bending energy that an exchange of ends would save
 _BENDING: Final = 3.0  # squares of a width that a unit of bending energy counts as: a kink of 40 degrees has a third
+# A rope that meets another one takes over its tip if it is so many widths longer or shorter than before; what a width
+# more costs, in squares of a width.
+_STEADY: Final = 0.3
+_GROWN: Final = 2.0
 # Points of a rope are taken over where they lie so many widths nearer to another one than to where it is expected; the
 # share of them, at most, if the other one is lost, and if it is found as well.
 _OTHERS: Final = 1.0
@@ -60,7 +64,7 @@ class Seen(NamedTuple):
 
 
 def doubt_of(seen: Seen, tries: list[Attempt | None], *, apart: bool = False) -> float:
-    """Return what speaks against fits, in squares of a width: pixels of no rope, what was not seen, new bends.
+    """Return what speaks against fits, in squares of a width: pixels of no rope, what was not seen, new bends and lengths.
 
     A slot that was lost counts as much as its rope. What may well be, with a rope's ragged border, counts nothing.
     """
@@ -78,16 +82,18 @@ def doubt_of(seen: Seen, tries: list[Attempt | None], *, apart: bool = False) ->
         for track, each, width in zip(seen.tracks, tries, cycle(widths), strict=False)
         if track is not None and each is not None and not each.is_found
     )
-    bent = 0.0
+    bent = grown = 0.0
     for track, each in zip(seen.tracks, tries, strict=True):
         if each is not None and each.found.nodes is not None and track is not None and each.is_found:
             bent += more_bent(each.found.nodes, track.nodes, each.found.object_width)
+            grown += max(abs(each.found.size - track.size) / each.found.object_width - _STEADY, 0.0)
     if not apart:
         strands = [(found.form, found.object_width) for found in forms if found.form.points.shape[1] == 2]
         bent += _EXCHANGED * sum(
             exchange_gain(one, other, width) for (one, width), (other, _) in combinations(strands, 2)
         )
-    doubt = lost + _BENDING * bent + area / median(widths) ** 2
+    grown = 0.0 if apart else grown  # the image's border may cut a rope that meets no other
+    doubt = lost + _GROWN * grown + _BENDING * bent + area / median(widths) ** 2
     return doubt if doubt > DOUBTFUL else 0.0
 
 
