@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 DOUBTFUL: Final = 1.0  #: Squares of a width: less may speak against fits that are right.
 _EXCHANGED: Final = 20.0  # of bending energy that an exchange of ends would save
 _BENDING: Final = 3.0  # squares of a width that a unit of bending energy counts as: a kink of 40 degrees has a third
-# A rope that meets another one takes over its tip if it is so many widths longer or shorter than before; what a width
+# A rope that meets another one takes over its tip if it is so many widths longer or shorter than it was; what a width
 # more costs, in squares of a width.
 _STEADY: Final = 0.3
 _GROWN: Final = 2.0
@@ -83,10 +83,12 @@ def doubt_of(seen: Seen, tries: list[Attempt | None], *, apart: bool = False) ->
         if track is not None and each is not None and not each.is_found
     )
     bent = grown = 0.0
-    for track, each in zip(seen.tracks, tries, strict=True):
+    for track, ahead, each in zip(seen.tracks, seen.expected, tries, strict=True):
         if each is not None and each.found.nodes is not None and track is not None and each.is_found:
             bent += more_bent(each.found.nodes, track.nodes, each.found.object_width)
-            grown += max(abs(each.found.size - track.size) / each.found.object_width - _STEADY, 0.0)
+            known = ahead is not None and each.found.form.points.shape[1] == 2 and ahead.hints.length
+            size = known.pixels if known and known.frames > 0 else track.size
+            grown += max(abs(each.found.size - size) / each.found.object_width - _STEADY, 0.0)
     if not apart:
         strands = [(found.form, found.object_width) for found in forms if found.form.points.shape[1] == 2]
         bent += _EXCHANGED * sum(

@@ -80,10 +80,13 @@ class Slots:
         tries, met = self._follow(seen, ahead, EXPECTED)
         doubt = doubt_of(seen, tries, apart=not met)
         if met and (doubt > 0 or changes_of_sides(seen, tries)):
-            # Ropes that run into each other stop; where they are expected, they may have changed places.
-            both = zip(last, ahead, strict=True)
+            # Ropes that run into each other stop, or move on together; where they are expected, they may have changed
+            # places.
+            both = list(zip(last, ahead, strict=True))
             halfway = [None if at is None or to is None else (at + to) / 2 for at, to in both]
-            ways = [tries, *(self._follow(seen, nodes, WIDE)[0] for nodes in (last, halfway))]
+            steps = [np.mean(ahead[k] - last[k], axis=0) for k in met]
+            together = [None if at is None else at + np.mean(steps, axis=0) for at in last]
+            ways = [tries, *(self._follow(seen, nodes, WIDE)[0] for nodes in (last, halfway, together))]
             doubts = [doubt, *(doubt_of(seen, each) for each in ways[1:])]
             best = int(np.argmin([price_of(seen, *each) for each in zip(ways, doubts, strict=True)]))
             tries, doubt = ways[best], doubts[best]
@@ -109,8 +112,8 @@ class Slots:
                 shapes.append(tracker.finish(found, moment))
         return shapes
 
-    def _follow(self, seen: Seen, nodes: list[Array | None], how: Reach) -> tuple[list[Attempt | None], bool]:
-        """Fit the slots that have a track to the parts of the mask around their nodes; return whether ribbons met."""
+    def _follow(self, seen: Seen, nodes: list[Array | None], how: Reach) -> tuple[list[Attempt | None], list[int]]:
+        """Fit the slots that have a track to the parts of the mask around their nodes; return which ribbons met."""
         tries: list[Attempt | None] = [None] * len(self.trackers)
         known, curves, widths = [], [], []
         for k, (each, at) in enumerate(zip(seen.expected, nodes, strict=True)):
@@ -119,21 +122,21 @@ class Slots:
                 curves.append(_from_tip_to_tip(at))
                 widths.append(each.width or seen.region.width)
         if not known:
-            return tries, False
+            return tries, []
         floor = self.spec.segmentation or Segmentation
         if apart := component_parts(seen.region, curves, floor.min_area, floor.min_share):
             for k, part in zip(known, apart, strict=True):
                 tries[k] = self._try(k, part, seen)
-            return tries, False
+            return tries, []
         owners, contested, _ = share(seen.region, curves, widths, how)
         for at in np.flatnonzero(contested).tolist():  # each is first fitted to what is its own for certain
-            again = self._try(known[at], self._part(seen.region, owners, [at]), seen)
+            again = self._try(known[at], self._part(seen.region, owners, [at]), seen, meets=True)
             if not again.found.reason:
                 curves[at] = again.found.form.points
-        met = bool(contested.any())
+        met = [known[at] for at in np.flatnonzero(contested).tolist()]
         owners, _, _ = share(seen.region, curves, widths, FOUND)
         for at, k in enumerate(known):
-            tries[k] = self._try(k, self._part(seen.region, owners, [at]), seen)
+            tries[k] = self._try(k, self._part(seen.region, owners, [at]), seen, meets=k in met)
         return (kept_apart(seen, tries) if met else tries), met
 
     def _looks_again(self, doubt: float) -> bool:
@@ -172,7 +175,7 @@ class Slots:
                 if part is None:
                     part = self._part(region, owners, [shared.index(at) for at in pieces])
                     part = part if len(pieces) > 1 else replace(part, axis=objects[pieces[0]].curve)
-                tries[k] = self._try(k, part, seen)
+                tries[k] = self._try(k, part, seen, meets=objects[pieces[0]].region is None)
             elif tries[k] is None and not objects:
                 tries[k] = Attempt(Fit(reason=reason), region, None)
         return kept_apart(seen, tries) if self.spec.is_ribbon else tries
@@ -182,8 +185,8 @@ class Slots:
         floor = self.spec.segmentation or Segmentation
         return part_of(region, owners, ribbons, floor.min_area, floor.min_share)
 
-    def _try(self, k: int, part: Region, seen: Seen) -> Attempt:
-        """Fit one slot to its part of the mask."""
+    def _try(self, k: int, part: Region, seen: Seen, *, meets: bool = False) -> Attempt:
+        """Fit one slot to its part of the mask; a rope that meets another one keeps the length that was known."""
         tracker, observed, scene = self.trackers[k], part, seen.scene
         if self.spec.lift == "cloud":
             from shape_obs.point_cloud.deprojection import deproject  # most detectors see no clouds
@@ -194,7 +197,11 @@ class Slots:
         prediction = tracker.expect(observed, seen.moment)
         if part.refusal:
             return Attempt(Fit(reason=part.refusal), observed, prediction)
-        return Attempt(tracker.spec.fit(observed, prediction, tracker.target(seen.moment), scene), observed, prediction)
+        found = tracker.spec.fit(observed, prediction, tracker.target(seen.moment), scene)
+        if meets and prediction is not None and found.form is not None and prediction.hints.length.frames > 0:
+            hints = found.form.hints._replace(length=prediction.hints.length)
+            found = found._replace(form=replace(found.form, hints=hints))
+        return Attempt(found, observed, prediction)
 
 
 def _from_tip_to_tip(nodes: Array) -> Array:
