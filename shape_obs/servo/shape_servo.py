@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import block_diag
 
 from shape_obs.robot import ActionSpec
 from shape_obs.servo.control_law import ServoLaw, geometric_weights, make_law, noise_weights
@@ -43,8 +44,8 @@ class ShapeServo:
         least_motion: Length of the summed actions after which the Jacobian is updated.
         weights: Weights of the errors of features: a matrix (M, F), such as ``geometric_weights``; ``"noise"``, which
             scales each feature by its noise while nothing moves; None for equal weights, which suits points.
-        seen: Returns the shape in the current observation. While it is lost, held, or has too few measured points,
-            nothing moves and nothing is learnt. ``attach`` provides it; otherwise this is up to the caller.
+        seen: Returns the shape in the current observation, or several. While one is lost, held, or has too few measured
+            points, nothing moves and nothing is learnt. ``attach`` provides it; otherwise this is up to the caller.
         measured: Returns which of the F features were measured in the current observation; the others are ignored.
             ``attach`` provides it; None for all.
         min_valid: Share of the points that must be measured.
@@ -69,7 +70,7 @@ class ShapeServo:
         excitation: Excitation | None = None,
         least_motion: float = 0.6,
         weights: Literal["noise"] | npt.ArrayLike | None = None,
-        seen: Callable[[], Shape] | None = None,
+        seen: Callable[[], Shape | Sequence[Shape]] | None = None,
         measured: Callable[[], Mask] | None = None,
         min_valid: float = 0.5,
     ) -> None:
@@ -85,7 +86,7 @@ class ShapeServo:
         self.reset()
 
     def attach(self, env: Any) -> None:
-        """Take the size of actions, the detected shape and the weights from an environment with a ``ShapeGoal``.
+        """Take the size of actions, the detected shapes and the weights from an environment with a ``ShapeGoal``.
 
         Arguments of the constructor take precedence. ``weights`` become ``geometric_weights`` if the goal's features
         have them, else ``"noise"``.
@@ -104,12 +105,15 @@ class ShapeServo:
         # Discard everything from an environment that it was attached to before.
         size, seen, measured, self._weights, self._by_noise = self._given
         self._size = size or int(box.shape[0])
-        self._seen = seen or partial(env.get_wrapper_attr, "goal_shape")
+        self._seen = seen or partial(env.get_wrapper_attr, "goal_shapes")
         self._measured = measured or partial(env.get_wrapper_attr, "goal_measured")
         if self._weights is None and not self._by_noise:
-            features, spec = env.get_wrapper_attr("goal_features"), env.get_wrapper_attr("goal_configuration")
-            self._weights = geometric_weights(features, spec.layout, env.get_wrapper_attr("goal_context"))
-            self._by_noise = self._weights is None
+            features, specs = env.get_wrapper_attr("goal_features"), env.get_wrapper_attr("goal_configurations")
+            pairs = zip(specs, env.get_wrapper_attr("goal_contexts"), strict=True)
+            blocks = [geometric_weights(features, spec.layout, context) for spec, context in pairs]
+            known = [block for block in blocks if block is not None]
+            self._by_noise = len(known) < len(blocks)
+            self._weights = None if self._by_noise else np.asarray(block_diag(*known), np.float64)
 
     def bind(self, spec: ActionSpec) -> None:
         """Set the size of actions to the number of coordinates of a robot."""
@@ -162,9 +166,10 @@ class ShapeServo:
 
     def _trusted(self, features: Array) -> bool:
         """Return whether an observation may be used."""
-        shape = None if self._seen is None else self._seen()
-        if shape is not None and (not shape.ok or shape.reason or shape.valid.mean() < self._min_valid):
-            return False
+        seen = () if self._seen is None else self._seen()
+        for shape in seen if isinstance(seen, Sequence) else (seen,):
+            if not shape.ok or shape.reason or shape.valid.mean() < self._min_valid:
+                return False
         return bool(np.all(np.isfinite(features)))
 
     def _begin(self, features: Array, known: Mask) -> None:

@@ -15,9 +15,8 @@ from shape_obs.bench.servo.settings import Disturbance, Setting, feature_set
 from shape_obs.detector import ShapeDetector
 from shape_obs.features import FeatureContext, read_features
 from shape_obs.shape import Detection, Shape
-from shape_obs.wrappers import ShapeGoal, ShapeObservation
+from shape_obs.wrappers import ShapeGoal, ShapeObservation, record_goal
 from shape_obs.wrappers.goal_points import shape_at
-from shape_obs.wrappers.shape_goal import record_goal
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
