@@ -49,6 +49,9 @@ class ShapeServo:
         measured: Returns which of the F features were measured in the current observation; the others are ignored.
             ``attach`` provides it; None for all.
         min_valid: Share of the points that must be measured.
+        coordinates: The indices of the values of an action that may move the shape, such as those of the gripper that
+            holds it; the others stay zero. None for all. Without them, a robot that also has other grippers would move
+            these at random by the noise of the features.
 
     Attributes:
         law: The law.
@@ -73,6 +76,7 @@ class ShapeServo:
         seen: Callable[[], Shape | Sequence[Shape]] | None = None,
         measured: Callable[[], Mask] | None = None,
         min_valid: float = 0.5,
+        coordinates: Sequence[int] | None = None,
     ) -> None:
         self.law = make_law(law) if isinstance(law, str) else law
         self._excitation = Excitation() if excitation is None else excitation
@@ -83,6 +87,7 @@ class ShapeServo:
         self._given = (actions, seen, measured, matrix, isinstance(weights, str))
         self._size, self._seen, self._measured, self._weights, self._by_noise = self._given
         self._min_valid = check_in_range("ShapeServo: min_valid", min_valid)
+        self._coordinates = None if coordinates is None else _checked(coordinates)
         self.reset()
 
     def attach(self, env: Any) -> None:
@@ -140,6 +145,11 @@ class ShapeServo:
         features, goal = (np.asarray(observation[key], np.float64) for key in ("achieved_goal", "desired_goal"))
         if self._size is None:
             raise ValueError("ShapeServo: the size of actions is unknown. Pass actions=, or call bind.")
+        used = list(range(self._size)) if self._coordinates is None else self._coordinates
+        if max(used) >= self._size:
+            raise ValueError(
+                f"ShapeServo: coordinates: expected indices below {self._size}, the size of actions, got {used}."
+            )
         size = features.shape if self._marked is None else self._marked.shape
         if features.shape != size or goal.shape != size:
             raise ValueError(
@@ -148,16 +158,18 @@ class ShapeServo:
             )
         if not self._trusted(features):
             self.held += 1
-            action = np.zeros(self._size)
+            moves = np.zeros(len(used))
         else:
             known = np.ones(size, bool) if self._measured is None else self._measured()
             if self._marked is None:
-                self._begin(features, known)
+                self._begin(features, known, len(used))
             self._learn(features, known)
-            action = self._script.pop(0) if self._script else self.law.act(goal - features, known)
+            moves = self._script.pop(0) if self._script else self.law.act(goal - features, known)
         if self._marked is not None:
-            self._moved, self._last = self._moved + action, action
-        return action.astype(np.float32)
+            self._moved, self._last = self._moved + moves, moves
+        action = np.zeros(self._size, np.float32)
+        action[used] = moves
+        return action
 
     def withheld(self) -> None:
         """Remove the last action from the summed motion, because it was not sent."""
@@ -172,24 +184,24 @@ class ShapeServo:
                 return False
         return bool(np.all(np.isfinite(features)))
 
-    def _begin(self, features: Array, known: Mask) -> None:
-        assert self._size is not None
+    def _begin(self, features: Array, known: Mask, actions: int) -> None:
         if self._weights is not None and (self._weights.ndim != 2 or self._weights.shape[1] != len(features)):
             raise ValueError(
                 f"ShapeServo: weights: expected (M, {len(features)}) for {len(features)} features, got "
                 f"{self._weights.shape}."
             )
-        self.law.start(len(features), self._size)
+        self.law.start(len(features), actions)
         self._mark(features, known)
         still = _STILL if self._by_noise else 0
-        self._script = [*np.zeros((still, self._size)), *self._excitation.actions(self._size)]
+        self._script = [*np.zeros((still, actions)), *self._excitation.actions(actions)]
         self._still = []
         self.law.weights = self._weights
 
     def _mark(self, features: Array, known: Mask) -> None:
         """Start summing changes and motions."""
-        assert self._size is not None
-        self._marked, self._known, self._moved = features, known, np.zeros(self._size)
+        assert self.law.estimator.matrix is not None
+        self._marked, self._known = features, known
+        self._moved = np.zeros(self.law.estimator.matrix.shape[1])
 
     def _learn(self, features: Array, known: Mask) -> None:
         """Update the Jacobian from the changes since the mark, once the motion is long enough."""
@@ -202,6 +214,14 @@ class ShapeServo:
         if self._by_noise and self.law.weights is None and not self._script:
             assert self.law.estimator.matrix is not None
             self.law.weights = noise_weights(self._still, self.law.estimator.matrix)
+
+
+def _checked(coordinates: Sequence[int]) -> list[int]:
+    """Return the indices of values of an action, after checking them."""
+    used = list(coordinates)
+    if not used or len(set(used)) < len(used) or not all(type(at) is int and at >= 0 for at in used):
+        raise ValueError(f"ShapeServo: coordinates: expected different indices of values of an action, got {used}.")
+    return used
 
 
 @dataclass(frozen=True)
