@@ -10,6 +10,7 @@ import numpy as np
 from goal_envs import INTRINSICS, RED, tilted
 
 from shape_obs import CameraModel, ShapeObservation
+from shape_obs.robot import ActionSpec
 
 POINTS = 9
 CAP = 0.012  # m: half the width of a strip, by which a drawn line is longer at each end
@@ -33,6 +34,8 @@ class StripsEnv(gym.Env[Any, Any]):
         self.counted = strips if counted else 1
         self.goal_layout = {"kind": "centerline", **({"count": strips} if counted else {})}
         self.action_space = gym.spaces.Box(-1.0, 1.0, (strips,), np.float32)
+        limits = {"units": ["m"] * strips, "scale": [0.01] * strips, "low": [-1.0] * strips, "high": [1.0] * strips}
+        self.action_spec = ActionSpec.from_dict({"names": [f"strip{k}" for k in range(strips)], **limits})
         images = {
             "rgb": gym.spaces.Box(0, 255, (120, 160, 3), np.uint8),
             "depth": gym.spaces.Box(0.0, 10.0, (120, 160), np.float32),

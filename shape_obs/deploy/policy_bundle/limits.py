@@ -242,7 +242,8 @@ def check_wrapper(wrapper: WrapperSpec) -> WrapperSpec:
     if unknown:
         raise needs_trust(f"the wrapper {name} has the argument {unknown[0]!r}, which is not in the list")
     check_numbers(kwargs, f"the wrapper {name}")
-    _check_sizes(kwargs, f"the wrapper {name}")
+    if name != "ShapeGoal":  # whose shape= is a name or several
+        _check_sizes(kwargs, f"the wrapper {name}")
     return replace(wrapper, entry_point=own or f"gymnasium.wrappers:{name}")
 
 
