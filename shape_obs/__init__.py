@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from shape_obs.wrappers import ShapeObservation as ShapeObservation
     from shape_obs.wrappers import Target as Target
     from shape_obs.wrappers import record_goal as record_goal
+    from shape_obs.wrappers import record_goals as record_goals
 
 __version__ = "0.1.0"
 
@@ -68,7 +69,7 @@ _HOME = {
     "shape_obs.image.segmentation": ("ColourRule", "DepthRange", "GrayRange", "HSVRange", "Segmentation"),
     "shape_obs.shape": ("Detection", "Shape"),
     "shape_obs.spec": ("Spec", "SpecError"),
-    "shape_obs.wrappers": ("ShapeGoal", "ShapeObservation", "Target", "record_goal"),
+    "shape_obs.wrappers": ("ShapeGoal", "ShapeObservation", "Target", "record_goal", "record_goals"),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 

@@ -63,7 +63,8 @@ def main() -> None:
 def picture(moment: Step, env: Any) -> np.ndarray:
     assert moment.frame is not None
     assert moment.frame.rgb is not None
-    return draw_detection(moment.frame.rgb, moment.detection, under=[(env.target.points2d, GOAL)])[VIEW]
+    under = [(target.points2d, GOAL) for target in env.targets]
+    return draw_detection(moment.frame.rgb, moment.detection, under=under)[VIEW]
 
 
 if __name__ == "__main__":

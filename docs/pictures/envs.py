@@ -45,7 +45,7 @@ def goal_lines(env: ShapeObservation) -> list[np.ndarray]:
     points = inner.camera_model.project_from_base(inner._goal.reshape(-1, 3).astype(np.float64))
     layout = inner.goal_layout
     if layout["kind"] == "centerline":
-        return [points]
+        return np.split(points, layout.get("count", 1))
     if layout["kind"] == "contour":
         return [np.concatenate([points, points[:1]])]
     lattice = points.reshape(layout["rows"], layout["cols"], 2)

@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench import Difficulty, Env
+from shape_obs.bench import Difficulty, Env, ServoEnv
 from shape_obs.bench.tables import Row, at_most, mean
 
 Array = npt.NDArray[np.float64]
@@ -22,7 +22,7 @@ _FARTHEST: Final = {"near": 50, "middle": 100}  # target in millimetres, in ever
 _KEPT: Final = 5  # target in millimetres
 
 
-def make_env(name: Env, options: Mapping[str, Any]) -> gym.Env[Any, Any]:
+def make_env(name: ServoEnv, options: Mapping[str, Any]) -> gym.Env[Any, Any]:
     """Make an environment as trainers do, without Gymnasium's checker; it never ends an episode by itself."""
     return gym.make(f"shape_obs_envs:ShapeObs/{name}-v0", disable_env_checker=True, max_episode_steps=-1, **options)
 

@@ -17,13 +17,13 @@ GOAL = (235, 130, 40)
 
 
 class LiveView:
-    """A web page with the camera's image, the points drawn over it, the goal in orange, and the loop's decision.
+    """A web page with the camera's image, the points drawn over it, the goals in orange, and the loop's decision.
 
     A thread draws only the newest frame, so that the loop never waits.
 
     Args:
         port: Port of the page on this machine, ``http://localhost:PORT``; 0 for any free port.
-        env: The running environment; if it has a goal, its ``target`` is drawn too.
+        env: The running environment; if it has goals, its ``targets`` are drawn too.
 
     Raises:
         ImportError: viser is not installed; ``pip install 'shape-obs[view]'``.
@@ -80,8 +80,8 @@ class LiveView:
         self._text.content = f"**{judgement.move}** {judgement.reason}  \nstep {step.step}"
         if frame is None or frame.rgb is None:
             return
-        target = getattr(self._env, "target", None)
-        under = [] if target is None or target.points2d is None else [(target.points2d, GOAL)]
+        targets = getattr(self._env, "targets", ())
+        under = [(target.points2d, GOAL) for target in targets if target.points2d is not None]
         self._image.image = draw_detection(frame.rgb, step.detection, under=under)
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import block_diag
 
 from shape_obs.robot import ActionSpec
 from shape_obs.servo.control_law import ServoLaw, geometric_weights, make_law, noise_weights
@@ -43,11 +44,14 @@ class ShapeServo:
         least_motion: Length of the summed actions after which the Jacobian is updated.
         weights: Weights of the errors of features: a matrix (M, F), such as ``geometric_weights``; ``"noise"``, which
             scales each feature by its noise while nothing moves; None for equal weights, which suits points.
-        seen: Returns the shape in the current observation. While it is lost, held, or has too few measured points,
-            nothing moves and nothing is learnt. ``attach`` provides it; otherwise this is up to the caller.
+        seen: Returns the shape in the current observation, or several. While one is lost, held, or has too few measured
+            points, nothing moves and nothing is learnt. ``attach`` provides it; otherwise this is up to the caller.
         measured: Returns which of the F features were measured in the current observation; the others are ignored.
             ``attach`` provides it; None for all.
         min_valid: Share of the points that must be measured.
+        coordinates: The indices of the values of an action that may move the shape, such as those of the gripper that
+            holds it; the others stay zero. None for all. Without them, a robot that also has other grippers would move
+            these at random by the noise of the features.
 
     Attributes:
         law: The law.
@@ -69,9 +73,10 @@ class ShapeServo:
         excitation: Excitation | None = None,
         least_motion: float = 0.6,
         weights: Literal["noise"] | npt.ArrayLike | None = None,
-        seen: Callable[[], Shape] | None = None,
+        seen: Callable[[], Shape | Sequence[Shape]] | None = None,
         measured: Callable[[], Mask] | None = None,
         min_valid: float = 0.5,
+        coordinates: Sequence[int] | None = None,
     ) -> None:
         self.law = make_law(law) if isinstance(law, str) else law
         self._excitation = Excitation() if excitation is None else excitation
@@ -82,10 +87,11 @@ class ShapeServo:
         self._given = (actions, seen, measured, matrix, isinstance(weights, str))
         self._size, self._seen, self._measured, self._weights, self._by_noise = self._given
         self._min_valid = check_in_range("ShapeServo: min_valid", min_valid)
+        self._coordinates = None if coordinates is None else _checked(coordinates)
         self.reset()
 
     def attach(self, env: Any) -> None:
-        """Take the size of actions, the detected shape and the weights from an environment with a ``ShapeGoal``.
+        """Take the size of actions, the detected shapes and the weights from an environment with a ``ShapeGoal``.
 
         Arguments of the constructor take precedence. ``weights`` become ``geometric_weights`` if the goal's features
         have them, else ``"noise"``.
@@ -104,12 +110,15 @@ class ShapeServo:
         # Discard everything from an environment that it was attached to before.
         size, seen, measured, self._weights, self._by_noise = self._given
         self._size = size or int(box.shape[0])
-        self._seen = seen or partial(env.get_wrapper_attr, "goal_shape")
+        self._seen = seen or partial(env.get_wrapper_attr, "goal_shapes")
         self._measured = measured or partial(env.get_wrapper_attr, "goal_measured")
         if self._weights is None and not self._by_noise:
-            features, spec = env.get_wrapper_attr("goal_features"), env.get_wrapper_attr("goal_configuration")
-            self._weights = geometric_weights(features, spec.layout, env.get_wrapper_attr("goal_context"))
-            self._by_noise = self._weights is None
+            features, specs = env.get_wrapper_attr("goal_features"), env.get_wrapper_attr("goal_configurations")
+            pairs = zip(specs, env.get_wrapper_attr("goal_contexts"), strict=True)
+            blocks = [geometric_weights(features, spec.layout, context) for spec, context in pairs]
+            known = [block for block in blocks if block is not None]
+            self._by_noise = len(known) < len(blocks)
+            self._weights = None if self._by_noise else np.asarray(block_diag(*known), np.float64)
 
     def bind(self, spec: ActionSpec) -> None:
         """Set the size of actions to the number of coordinates of a robot."""
@@ -136,6 +145,11 @@ class ShapeServo:
         features, goal = (np.asarray(observation[key], np.float64) for key in ("achieved_goal", "desired_goal"))
         if self._size is None:
             raise ValueError("ShapeServo: the size of actions is unknown. Pass actions=, or call bind.")
+        used = list(range(self._size)) if self._coordinates is None else self._coordinates
+        if max(used) >= self._size:
+            raise ValueError(
+                f"ShapeServo: coordinates: expected indices below {self._size}, the size of actions, got {used}."
+            )
         size = features.shape if self._marked is None else self._marked.shape
         if features.shape != size or goal.shape != size:
             raise ValueError(
@@ -144,16 +158,18 @@ class ShapeServo:
             )
         if not self._trusted(features):
             self.held += 1
-            action = np.zeros(self._size)
+            moves = np.zeros(len(used))
         else:
             known = np.ones(size, bool) if self._measured is None else self._measured()
             if self._marked is None:
-                self._begin(features, known)
+                self._begin(features, known, len(used))
             self._learn(features, known)
-            action = self._script.pop(0) if self._script else self.law.act(goal - features, known)
+            moves = self._script.pop(0) if self._script else self.law.act(goal - features, known)
         if self._marked is not None:
-            self._moved, self._last = self._moved + action, action
-        return action.astype(np.float32)
+            self._moved, self._last = self._moved + moves, moves
+        action = np.zeros(self._size, np.float32)
+        action[used] = moves
+        return action
 
     def withheld(self) -> None:
         """Remove the last action from the summed motion, because it was not sent."""
@@ -162,29 +178,30 @@ class ShapeServo:
 
     def _trusted(self, features: Array) -> bool:
         """Return whether an observation may be used."""
-        shape = None if self._seen is None else self._seen()
-        if shape is not None and (not shape.ok or shape.reason or shape.valid.mean() < self._min_valid):
-            return False
+        seen = () if self._seen is None else self._seen()
+        for shape in seen if isinstance(seen, Sequence) else (seen,):
+            if not shape.ok or shape.reason or shape.valid.mean() < self._min_valid:
+                return False
         return bool(np.all(np.isfinite(features)))
 
-    def _begin(self, features: Array, known: Mask) -> None:
-        assert self._size is not None
+    def _begin(self, features: Array, known: Mask, actions: int) -> None:
         if self._weights is not None and (self._weights.ndim != 2 or self._weights.shape[1] != len(features)):
             raise ValueError(
                 f"ShapeServo: weights: expected (M, {len(features)}) for {len(features)} features, got "
                 f"{self._weights.shape}."
             )
-        self.law.start(len(features), self._size)
+        self.law.start(len(features), actions)
         self._mark(features, known)
         still = _STILL if self._by_noise else 0
-        self._script = [*np.zeros((still, self._size)), *self._excitation.actions(self._size)]
+        self._script = [*np.zeros((still, actions)), *self._excitation.actions(actions)]
         self._still = []
         self.law.weights = self._weights
 
     def _mark(self, features: Array, known: Mask) -> None:
         """Start summing changes and motions."""
-        assert self._size is not None
-        self._marked, self._known, self._moved = features, known, np.zeros(self._size)
+        assert self.law.estimator.matrix is not None
+        self._marked, self._known = features, known
+        self._moved = np.zeros(self.law.estimator.matrix.shape[1])
 
     def _learn(self, features: Array, known: Mask) -> None:
         """Update the Jacobian from the changes since the mark, once the motion is long enough."""
@@ -197,6 +214,14 @@ class ShapeServo:
         if self._by_noise and self.law.weights is None and not self._script:
             assert self.law.estimator.matrix is not None
             self.law.weights = noise_weights(self._still, self.law.estimator.matrix)
+
+
+def _checked(coordinates: Sequence[int]) -> list[int]:
+    """Return the indices of values of an action, after checking them."""
+    used = list(coordinates)
+    if not used or len(set(used)) < len(used) or not all(type(at) is int and at >= 0 for at in used):
+        raise ValueError(f"ShapeServo: coordinates: expected different indices of values of an action, got {used}.")
+    return used
 
 
 @dataclass(frozen=True)

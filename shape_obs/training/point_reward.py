@@ -38,8 +38,8 @@ class PointReward(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         visible: How many numbers of a goal a policy may read.
 
     Raises:
-        ValueError: The last feature of the goals is not points in metres, or is the only one; or another argument is
-            invalid.
+        ValueError: The last feature of the goals is not points in metres, or is the only one; several shapes have a
+            goal; or another argument is invalid.
     """
 
     def __init__(self, env: ShapeGoal, reward_type: RewardType = "sparse", threshold: float = 0.01) -> None:
@@ -54,9 +54,13 @@ class PointReward(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         if not isinstance(last, Points3D) or not features:
             kinds = [feature.kind for feature in env.goal_features]
             raise ValueError(f"PointReward needs goals in some features and 'points3d' after them, got {kinds}.")
+        if len(env.names) > 1:
+            raise ValueError(
+                f"PointReward needs the goal of one shape, got {list(env.names)}; pass ShapeGoal a shape=."
+            )
         goal = env.observation_space["desired_goal"]  # type: ignore[index]
         assert isinstance(goal, spaces.Box)
-        self.visible = goal.shape[0] - 3 * env.goal_configuration.layout.size
+        self.visible = goal.shape[0] - 3 * env.goal_configurations[0].layout.size
         seen = spaces.Box(goal.low[: self.visible], goal.high[: self.visible], dtype=np.float32)
         self.observation_space = spaces.Dict({"observation": seen, **dict.fromkeys(GOALS, goal)})
 

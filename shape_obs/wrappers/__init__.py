@@ -1,7 +1,7 @@
 """Gymnasium wrappers."""
 
-from shape_obs.wrappers.shape_goal import ShapeGoal, record_goal
+from shape_obs.wrappers.shape_goal import ShapeGoal
 from shape_obs.wrappers.shape_observation import ShapeObservation
-from shape_obs.wrappers.target import Target
+from shape_obs.wrappers.target import Target, record_goal, record_goals
 
-__all__ = ["ShapeGoal", "ShapeObservation", "Target", "record_goal"]
+__all__ = ["ShapeGoal", "ShapeObservation", "Target", "record_goal", "record_goals"]

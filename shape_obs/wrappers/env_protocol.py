@@ -3,7 +3,8 @@
 ``camera_model``: a ``CameraModel`` (or bare ``Intrinsics``); read again at each reset, since poses may be randomised.
 ``anchors``: a mapping of names to base-frame points (x, y, z) or pixels (u, v); read in each frame that needs one.
 ``goal_layout``: the layout of the points of a goal, ``{"kind": "centerline"}``, ``{"kind": "contour"}`` or
-``{"kind": "surface", "rows": 5, "cols": 7}``; default: the layout of the first shape.
+``{"kind": "surface", "rows": 5, "cols": 7}``; default: the layout of the first shape. With ``"count": K`` a goal has
+those of the first K shapes, such as the slots of one configuration, equally many points for each.
 ``shape_obs_defaults``: a mapping of wrapper arguments, used unless the user passes others.
 ``action_spec``: an ``ActionSpec``, the meaning of actions; a saved policy contains it and compares it with the robot's.
 ``dt``: seconds per step, for frames without ``info["stamp"]``; default: ``1 / metadata["render_fps"]``.

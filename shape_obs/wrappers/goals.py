@@ -1,4 +1,4 @@
-"""Goals in feature space: the features of the detected shape and the same features of its target."""
+"""Goals in feature space: the features of the detected shapes and the same features of their targets."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from shape_obs.camera import CameraModel
+from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.configurations.base import Configuration
 from shape_obs.features import (
     Age,
@@ -23,6 +24,7 @@ from shape_obs.features import (
     Valid,
 )
 from shape_obs.shape import Shape
+from shape_obs.spec import did_you_mean
 from shape_obs.wrappers.env_protocol import has_goals
 from shape_obs.wrappers.goal_points import goal_topology, resample, shape_at
 
@@ -35,13 +37,13 @@ _POINTS: Final = {Points3D: (3, "m"), Points2D: (2, "px"), Points2DNormalized: (
 
 
 class GoalVector:
-    """Compute the features of a detected shape and of its target.
+    """Compute the features of detected shapes and of their targets, shape by shape.
 
-    Those of the target are cached until the target, the camera or the anchor changes, which is rare within an episode.
+    Those of the targets are cached until a target, the camera or an anchor changes, which is rare within an episode.
 
     Args:
-        features: The features in the order of the vector.
-        spec: The configuration of the shape.
+        features: The features of each shape, in the order of the vector.
+        specs: The configurations of the shapes that have a goal.
         context: The context that determines the bounds.
 
     Attributes:
@@ -51,37 +53,46 @@ class GoalVector:
         unit: Unit of ``distance``: ``"m"``, ``"px"``, ``"of half the image"`` or ``"of the range"``.
     """
 
-    def __init__(self, features: Sequence[Feature], spec: Configuration, context: FeatureContext) -> None:
-        self._vector = FeatureVector(features, [spec], context)
+    def __init__(self, features: Sequence[Feature], specs: Sequence[Configuration], context: FeatureContext) -> None:
+        self._vector = FeatureVector(features, specs, context)
         self.features, self.low, self.high = self._vector.features, self._vector.low, self._vector.high
         kinds = {type(feature) for feature in self.features}
         self._coordinates, self.unit = _POINTS.get(kinds.pop(), (0, "")) if len(kinds) == 1 else (0, "")
         self.unit = self.unit or "of the range"
-        self._cached: tuple[Any, ...] = (None, None, None)
+        self._cached: tuple[Any, ...] = ((), None, None)
         self._desired: Vector = self.low
 
-    def pair(self, seen: Shape, target: Shape, context: FeatureContext) -> tuple[Vector, Vector]:
+    def pair(
+        self, seen: Sequence[Shape], targets: Sequence[Shape], contexts: Sequence[FeatureContext]
+    ) -> tuple[Vector, Vector]:
         """Return the achieved and the desired values, new arrays of shape ``(D,)`` each."""
-        return self._vector.compute([seen], [context]), self.desired(target, context)
+        return self._vector.compute(seen, contexts), self.desired(targets, contexts)
 
-    def measured(self, seen: Shape) -> npt.NDArray[np.bool_]:
+    def measured(self, seen: Sequence[Shape]) -> npt.NDArray[np.bool_]:
         """Return which achieved values were measured in this frame and not filled in, of shape ``(D,)``."""
-        return self._vector.measured([seen])
+        return self._vector.measured(seen)
 
-    def desired(self, target: Shape, context: FeatureContext) -> Vector:
-        """Return the values of the target, a new array of shape ``(D,)``."""
-        shape, camera, before = self._cached
+    def desired(self, targets: Sequence[Shape], contexts: Sequence[FeatureContext]) -> Vector:
+        """Return the values of the targets, a new array of shape ``(D,)``.
+
+        Args:
+            targets: The target of each shape; the same objects while nothing changes.
+            contexts: The context of each shape, with one camera for all.
+        """
+        shapes, camera, before = self._cached
         # The anchors move in every step, but most features do not depend on them.
-        anchor = (context.anchor, context.anchors) if self._vector.anchored else None
-        if shape is not target or camera is not context.camera or before != anchor:
-            self._desired = self._vector.compute([target], [context])
-            self._cached = (target, context.camera, anchor)
+        anchors = [(each.anchor, each.anchors) for each in contexts] if self._vector.anchored else None
+        same = len(shapes) == len(targets) and all(a is b for a, b in zip(shapes, targets, strict=True))
+        if not same or camera is not contexts[0].camera or before != anchors:
+            self._desired = self._vector.compute(targets, contexts)
+            self._cached = (tuple(targets), contexts[0].camera, anchors)
         return self._desired.copy()
 
     def distance(self, achieved: Any, desired: Any) -> npt.NDArray[np.float64]:
         """Return the distance between goals: ``(..., D)``, ``(..., D)`` -> ``(...,)``.
 
-        For points of one kind it is the mean distance of corresponding points, ``mean_i |a_i - d_i|``, in their unit.
+        For points of one kind it is the mean distance of corresponding points, ``mean_i |a_i - d_i|``, in their unit,
+        over the points of all shapes.
         For other features it is the root mean square of their differences, each divided by its range:
         ``sqrt(mean_j ((a_j - d_j) / (high_j - low_j))^2)``.
 
@@ -102,7 +113,10 @@ class GoalVector:
 
 
 class EnvGoal:
-    """The goals of a goal-conditioned env: the first ``points3d`` of the first shape and of the env's own target.
+    """The goals of a goal-conditioned env: the first ``points3d`` of the first shapes and of the env's own targets.
+
+    The env has a goal for the first shape, or for as many shapes as the ``count`` of its ``goal_layout``, one after the
+    other.
 
     Args:
         features: The features of the wrapper.
@@ -113,9 +127,10 @@ class EnvGoal:
 
     Attributes:
         vector: The features of goals.
+        shapes: The configurations of the shapes that have a goal.
 
     Raises:
-        ValueError: The features, the first shape or the camera cannot express the env's goals.
+        ValueError: The features, the shapes or the camera cannot express the env's goals.
     """
 
     def __init__(
@@ -126,12 +141,23 @@ class EnvGoal:
         layout: Mapping[str, Any],
         count: int,
     ) -> None:
-        spec, metric = shapes[0], [feature for feature in features if isinstance(feature, Points3D)]
-        if layout.get("kind", spec.kind) != spec.kind:
+        metric = [feature for feature in features if isinstance(feature, Points3D)]
+        goals, own = layout.get("count", 1), {name: value for name, value in layout.items() if name != "count"}
+        if type(goals) is not int or goals < 1:
+            raise ValueError(f"goal_layout: count: expected the number of shapes that have a goal, got {goals!r}.")
+        if len(shapes) < goals:
             raise ValueError(
-                f"this env has goals of the layout {layout['kind']!r}: the first of shapes must be a "
-                f"{layout['kind']!r}, got {spec.kind!r}."
+                f"this env has goals of {goals} shapes: expected at least {goals} shapes or slots, got "
+                f"{[spec.name for spec in shapes]}; give the first of shapes count={goals}."
             )
+        self.shapes = tuple(shapes[:goals])
+        for spec in self.shapes:
+            if layout.get("kind", spec.kind) != spec.kind:
+                where = "the first of shapes" if goals == 1 else f"shape {spec.name!r}"
+                raise ValueError(
+                    f"this env has goals of the layout {layout['kind']!r}: {where} must be a "
+                    f"{layout['kind']!r}, got {spec.kind!r}."
+                )
         if not metric:
             raise ValueError(
                 "this env has goals, whose distance is in metres: add 'points3d' to features, "
@@ -141,16 +167,15 @@ class EnvGoal:
             raise ValueError(
                 "this env has goals in the base frame: its camera_model (or camera=) needs transform_camera_to_base."
             )
-        if count % 3:
-            raise ValueError(f"this env's goals must be flat (x, y, z) points, got {count} numbers.")
-        self._topology = goal_topology(layout, spec, count // 3)
-        self._spec = spec
-        self.vector = GoalVector(metric[:1], spec, context)
-        before = features[: features.index(metric[0])]
-        start = sum(len(feature.bounds(spec.layout, context)[0]) for feature in before)
-        self._here = slice(start, start + len(self.vector.low))
+        if count % (3 * goals):
+            of = "" if goals == 1 else f", equally many for each of {goals} shapes"
+            raise ValueError(f"this env's goals must be flat (x, y, z) points{of}, got {count} numbers.")
+        self._topologies = [goal_topology(own, spec, count // (3 * goals)) for spec in self.shapes]
+        self.vector = GoalVector(metric[:1], self.shapes, context)
+        blocks = FeatureVector(features, self.shapes, context).blocks[features.index(metric[0]) :: len(features)]
+        self._here = np.concatenate([np.arange(block.place.start, block.place.stop) for block in blocks])
         self._cached: tuple[Any, ...] = (None, None)
-        self._target: Shape | None = None
+        self._targets: tuple[Shape, ...] = ()
 
     @classmethod
     def find(
@@ -170,11 +195,11 @@ class EnvGoal:
         """Return the part of the wrapper's feature vector that goals consist of, a new array of shape ``(D,)``."""
         return values[self._here].copy()
 
-    def target(self, goal: npt.ArrayLike, camera: CameraModel) -> Shape:
-        """Return the env's goal as the shape that the detector would report, the same object while nothing changes.
+    def targets(self, goal: npt.ArrayLike, camera: CameraModel) -> tuple[Shape, ...]:
+        """Return the env's goals as the shapes that the detector would report, the same object while nothing changes.
 
         Args:
-            goal: Points in metres, base frame, flat or of shape ``(K, 3)``, starting at the anchor.
+            goal: Points in metres, base frame, flat or of shape ``(K, 3)``, each shape starting at its anchor.
             camera: The camera with its pose in the base frame.
 
         Raises:
@@ -182,14 +207,41 @@ class EnvGoal:
         """
         array = np.asarray(goal)
         key = array.tobytes()
-        if key != self._cached[0] or camera is not self._cached[1] or self._target is None:
+        if key != self._cached[0] or camera is not self._cached[1] or not self._targets:
             points = array.astype(np.float64).ravel()
-            if points.size != 3 * self._topology.size or not np.all(np.isfinite(points)):
+            size = sum(topology.size for topology in self._topologies)
+            if points.size != 3 * size or not np.all(np.isfinite(points)):
                 raise ValueError(
-                    f"desired_goal: expected {self._topology.size} finite points (x, y, z) in the base frame, flat, "
+                    f"desired_goal: expected {size} finite points (x, y, z) in the base frame, flat, "
                     f"got {array.shape}: {points[:6].tolist()} ..."
                 )
-            points = resample(camera.from_base(points.reshape(-1, 3)), self._spec, self._topology, camera.intrinsics)
-            self._target = shape_at(points, self._spec, camera.intrinsics)
+            parts = np.split(camera.from_base(points.reshape(-1, 3)), len(self.shapes))
+            known = camera.intrinsics
+            self._targets = tuple(
+                shape_at(resample(part, spec, topology, known), spec, known)
+                for part, spec, topology in zip(parts, self.shapes, self._topologies, strict=True)
+            )
             self._cached = (key, camera)
-        return self._target
+        return self._targets
+
+
+def find_shapes(config: DetectorConfig, asked: str | Sequence[str]) -> tuple[int, ...]:
+    """Return the indices of shapes among the detector's slots.
+
+    Args:
+        config: The configuration of the detector.
+        asked: The name of a shape or slot, of a shape with a count for all of its slots, or several names.
+
+    Raises:
+        ValueError: A name is unknown or occurs twice, or there is none.
+    """
+    slots = {spec.name: [slot.name for slot in spec.slots()] for spec in config.shapes}
+    names = [name for some in slots.values() for name in some]
+    found: list[int] = []
+    for name in [asked] if isinstance(asked, str) else asked:
+        if name not in names and name not in slots:
+            raise ValueError(f"no shape named {name!r}{did_you_mean(name, [*slots, *names])}")
+        found += [names.index(slot) for slot in ([name] if name in names else slots[name])]
+    if not found or len(set(found)) < len(found):
+        raise ValueError(f"shape: expected names of shapes, each once, got {asked!r}; there are {names}.")
+    return tuple(found)

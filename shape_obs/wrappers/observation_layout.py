@@ -100,3 +100,14 @@ def _kept_spaces(source: spaces.Space[Any], keep: Sequence[str], privileged: Seq
         if key not in source.spaces:
             raise ValueError(f"keep: no key {key!r} in the observation{did_you_mean(key, source.spaces)}")
     return {key: source[key] for key in keep}
+
+
+def main_part(space: spaces.Space[Any], main: str) -> tuple[str | None, spaces.Box, list[str]]:
+    """Return the key of the vector of ``ShapeObservation`` (None without keys), its box, and the other keys."""
+    keys = list(space.spaces) if isinstance(space, spaces.Dict) else None
+    box = space[main] if isinstance(space, spaces.Dict) and main in space.spaces else space
+    if not isinstance(box, spaces.Box):
+        raise ValueError(f"ShapeGoal: expected a Box, or a Dict with a Box as {main!r}, got {space}.")
+    if keys is None:
+        return None, box, []
+    return main, box, [key for key in keys if key not in (main, *GOALS)]

@@ -1,4 +1,4 @@
-"""ShapeGoal: goals in the feature space of a ``ShapeObservation``, from a given target or from the env."""
+"""ShapeGoal: goals in the feature space of a ``ShapeObservation``, from given targets or from the env."""
 
 from __future__ import annotations
 
@@ -8,18 +8,17 @@ from typing import Any, Final, Literal
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 
 from shape_obs.configurations.base import Configuration
 from shape_obs.features import Feature, FeatureContext, read_features
 from shape_obs.shape import Shape
 from shape_obs.spec import did_you_mean
-from shape_obs.wrappers.env_protocol import GOALS, has_goals
-from shape_obs.wrappers.goals import STATUS, GoalVector
-from shape_obs.wrappers.observation_layout import ObservationLayout
-from shape_obs.wrappers.shape_observation import ShapeObservation, to_recorded
-from shape_obs.wrappers.target import GoalFrame, Target
+from shape_obs.wrappers.env_protocol import has_goals
+from shape_obs.wrappers.goals import STATUS, GoalVector, find_shapes
+from shape_obs.wrappers.observation_layout import ObservationLayout, main_part
+from shape_obs.wrappers.shape_observation import to_recorded
+from shape_obs.wrappers.target import GoalFrame, Target, observing, record_goals
 
 GoalLike = Target | Mapping[str, Any] | npt.ArrayLike
 RewardType = Literal["dense", "sparse"]
@@ -29,33 +28,37 @@ _CENTIMETRE: Final = 0.01
 
 
 class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
-    """Make an env goal-conditioned: the features of the detected shape are to become those of a target.
+    """Make an env goal-conditioned: the features of one or several detected shapes are to become those of targets.
 
     The observation is a Dict of ``observation`` (the vector of ``ShapeObservation`` and the vectors it keeps),
     ``achieved_goal`` and ``desired_goal``, flat finite float32. Both goals come from the same feature code, applied to
-    the detected shape and to the target as the camera would see it. The reward is computed from them alone, so
+    the detected shapes and to the targets as the camera would see them. The reward is computed from them alone, so
     hindsight replay can substitute other goals; the env's own reward is in ``info["truth/reward"]``.
 
-    ``info`` gains ``goal/distance`` and ``is_success``: the shape is ok and the distance below the threshold. The env's
-    own ``is_success``, which may come from the simulator's state, moves to ``truth/is_success``.
+    ``info`` gains ``goal/distance`` and ``is_success``: all shapes with a goal are ok and the distance is below the
+    threshold. The env's own ``is_success``, which may come from the simulator's state, moves to ``truth/is_success``.
 
     Args:
         env: An env that contains a ``ShapeObservation``.
-        goal: A ``Target``, its mapping, or points ``(K, 3)`` in metres, base frame. With None a goal-conditioned env
-            provides the goal of each episode; for other envs each reset needs ``options={"goal": ...}``.
+        goal: A ``Target``, its mapping, or points ``(K, 3)`` in metres, base frame; for several shapes a mapping from
+            their names to these, or points ``(S, K, 3)``. With None a goal-conditioned env provides the goal of each
+            episode; for other envs each reset needs ``options={"goal": ...}``.
         features: The features of goals: features, or kinds of those of the ``ShapeObservation``. Default: all that
             describe the position of the shape, that is all except ``ok``, ``age`` and ``valid``.
-        shape: The name of the shape that has the goal; default the first.
+        shape: The name of the shape that has the goal, the name of a shape with a ``count`` for all of its slots, or
+            several names. Default: the shapes that a mapping ``goal`` names; without ``goal`` all that have goals of
+            the env; else the first.
         reward_type: ``"dense"``: minus the distance. ``"sparse"``: 0 below the threshold, else -1.
         threshold: Distance below which a goal is reached, in ``unit``; default 0.01 m, and required in other units.
 
     Attributes:
         unit: The unit of distances: ``"m"``, ``"px"``, ``"of half the image"`` or ``"of the range"``.
-        target: The goal of this episode as a shape; None before the first reset.
+        names: The names of the shapes that have a goal, in the order of their values.
+        targets: The goals of this episode, a shape for each name; empty before the first reset.
 
     Raises:
-        ValueError: There is no ``ShapeObservation``, the goal or the features do not fit it, or the threshold is
-            missing.
+        ValueError: There is no ``ShapeObservation``, the goal, the shapes or the features do not fit it, or the
+            threshold is missing.
 
     Example:
         >>> env = ShapeGoal(ShapeObservation(gym.make("shape_obs_envs:ShapeObs/Cable-v0")))  # doctest: +SKIP
@@ -65,40 +68,48 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     def __init__(
         self,
         env: gym.Env[Any, Any],
-        goal: GoalLike | None = None,
+        goal: GoalLike | Mapping[str, GoalLike] | None = None,
         features: Iterable[Feature | Mapping[str, Any] | str] | None = None,
         *,
-        shape: str | None = None,
+        shape: str | Sequence[str] | None = None,
         reward_type: RewardType = "dense",
         threshold: float | None = None,
     ) -> None:
-        self._goal = None if goal is None else Target.read(goal)
-        given = {"goal": self._goal, "features": features, "shape": shape, "threshold": threshold}
+        self._source = observing(env)
+        known = self._source.detector.shapes
+        if shape is None and isinstance(goal, Mapping) and _is_by_name(goal, [spec.name for spec in known]):
+            shape = list(goal)
+        self._at = self._find(shape, goal is not None)
+        self._specs = [known[at] for at in self._at]
+        self.names: tuple[str, ...] = tuple(spec.name for spec in self._specs)
+        self._goal = None if goal is None else _read_targets(goal, self.names)
+        record: Any = self._goal
+        if self._goal is not None and len(self._goal) == 1:
+            (record,) = self._goal.values()
+        given = {"goal": record, "features": features, "shape": shape, "threshold": threshold}
         recorded = {name: to_recorded(value) for name, value in given.items() if value is not None}
         RecordConstructorArgs.__init__(self, **recorded, reward_type=reward_type)
         gym.Wrapper.__init__(self, env)
 
-        self._source = _observing(env)
-        self._at = _index(self._source, shape)
-        self._spec = self._source.detector.shapes[self._at]
         if reward_type not in _REWARDS:
             raise ValueError(f"reward_type: unknown value {reward_type!r}{did_you_mean(reward_type, _REWARDS)}")
         self.reward_type = reward_type
         chosen = _chosen(self._source.features, recorded.get("features"))
-        self._vector = GoalVector(chosen, self._spec, self.goal_context)
+        self._vector = GoalVector(chosen, self._specs, self.goal_contexts[0])
         self.unit = self._vector.unit
         self.threshold = _checked(threshold, self.unit)
         self._envs_goals = has_goals(self._source.observation_space)
         if self._goal is not None:
             self._as_seen(self._goal)
-        elif self._envs_goals and self._at:
-            first = self._source.detector.shapes[0].name
-            raise ValueError(f"the env's goals are those of shape {first!r}: pass a goal= for shape {shape!r}.")
-        self._main, box, kept = _parts(env.observation_space, "observation" if self._envs_goals else "shape")
+        elif self._envs_goals and max(self._at) >= self._source.goal_count:
+            own = [spec.name for spec in known[: self._source.goal_count]]
+            whose, without = own[0] if len(own) == 1 else own, self.names[0] if len(self.names) == 1 else self.names
+            raise ValueError(f"the env's goals are those of shape {whose!r}: pass a goal= for shape {without!r}.")
+        self._main, box, kept = main_part(env.observation_space, "observation" if self._envs_goals else "shape")
         self._layout = ObservationLayout(env.observation_space, kept, box, self._vector)
         self.observation_space = self._layout.space
-        self.target: Shape | None = None
-        self._given: Shape | None = None
+        self.targets: tuple[Shape, ...] = ()
+        self._given: tuple[Shape, ...] | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the env.
@@ -112,7 +123,7 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         """
         options = None if options is None else dict(options)
         given = None if options is None else options.pop("goal", None)
-        goal = self._goal if given is None else Target.read(given)
+        goal = self._goal if given is None else _read_targets(given, self.names)
         if goal is None and not self._envs_goals:
             raise ValueError(
                 "ShapeGoal: there is no goal, and the env provides none. Pass goal=Target(points) to the wrapper or "
@@ -133,8 +144,9 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         """Return the reward for goals ``(..., D)`` of this wrapper: a float for single goals, else an array ``(...,)``.
 
         The dense reward is minus the distance; the sparse reward is 0 below the threshold, else -1. If goals are points
-        of one kind, the distance is the mean distance of corresponding points, ``mean_i |a_i - d_i|``; else it is the
-        root mean square of the differences divided by their range, ``sqrt(mean_j ((a_j - d_j) / (high_j - low_j))^2)``.
+        of one kind, the distance is the mean distance of corresponding points, ``mean_i |a_i - d_i|``, over the points
+        of all shapes that have a goal; else it is the root mean square of the differences divided by their range,
+        ``sqrt(mean_j ((a_j - d_j) / (high_j - low_j))^2)``.
         ``info`` is not used.
 
         Raises:
@@ -143,109 +155,125 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return self._reward(self._vector.distance(achieved_goal, desired_goal))
 
     def record_goal(self, frame: GoalFrame | None = None, *, unmeasured: bool = False) -> Target:
-        """Return the shape in the last observation as a goal; see ``shape_obs.record_goal``."""
-        return record_goal(self, self._spec.name, frame, unmeasured=unmeasured)
+        """Return the shape in the last observation as a goal, the first of several; see ``shape_obs.record_goal``."""
+        return self.record_goals(frame, unmeasured=unmeasured)[self.names[0]]
+
+    def record_goals(self, frame: GoalFrame | None = None, *, unmeasured: bool = False) -> dict[str, Target]:
+        """Return all shapes that have a goal, as seen in the last observation; see ``shape_obs.record_goals``."""
+        return record_goals(self, self.names, frame, unmeasured=unmeasured)
+
+    @property
+    def target(self) -> Shape | None:
+        """The first of ``targets``; None before the first reset."""
+        return self.targets[0] if self.targets else None
 
     @property
     def goal_features(self) -> tuple[Feature, ...]:
-        """The features of goals, in the order of their values."""
+        """The features of the goal of a shape, in the order of their values."""
         return self._vector.features
 
     @property
+    def goal_configurations(self) -> tuple[Configuration, ...]:
+        """The configurations of the shapes that have a goal."""
+        return tuple(self._specs)
+
+    @property
+    def goal_contexts(self) -> list[FeatureContext]:
+        """The context, with camera and anchors, of the current values of each goal."""
+        contexts = self._source.contexts
+        return [contexts[at] for at in self._at]
+
+    @property
     def goal_configuration(self) -> Configuration:
-        """The configuration of the shape that has the goal."""
-        return self._spec
+        """The first of ``goal_configurations``."""
+        return self._specs[0]
 
     @property
     def goal_context(self) -> FeatureContext:
-        """The context, with camera and anchors, of the current goal's values."""
-        return self._source.contexts[self._at]
+        """The first of ``goal_contexts``."""
+        return self.goal_contexts[0]
 
     @property
     def goal_measured(self) -> npt.NDArray[np.bool_]:
         """Which values of the current ``achieved_goal`` were measured and not filled in, of shape ``(D,)``."""
-        assert self.goal_shape is not None
-        return self._vector.measured(self.goal_shape)
+        return self._vector.measured(self.goal_shapes)
+
+    @property
+    def goal_shapes(self) -> tuple[Shape, ...]:
+        """The shapes that have a goal, as detected in the last observation; empty before the first."""
+        detection = self._source.detection
+        return () if detection is None else tuple(detection.shapes[at] for at in self._at)
 
     @property
     def goal_shape(self) -> Shape | None:
-        """The shape that has the goal, as detected in the last observation; None before the first."""
-        return None if self._source.detection is None else self._source.detection.shapes[self._at]
+        """The first of ``goal_shapes``; None before the first observation."""
+        return self.goal_shapes[0] if self.goal_shapes else None
+
+    def _find(self, shape: str | Sequence[str] | None, is_given: bool) -> tuple[int, ...]:
+        """Return the indices of the shapes that have a goal."""
+        if shape is not None:
+            return find_shapes(self._source.detector.config, shape)
+        return tuple(range(1 if is_given else max(self._source.goal_count, 1)))
 
     def _reward(self, distance: npt.NDArray[np.float64]) -> Any:
         reward = -distance if self.reward_type == "dense" else np.where(distance < self.threshold, 0.0, -1.0)
         return float(reward) if reward.ndim == 0 else reward
 
-    def _as_seen(self, goal: Target) -> Shape:
-        """Return the goal as the shape that the camera at its current pose would see."""
-        target = goal.shape_for(self._spec, self.goal_context)
+    def _as_seen(self, goal: Mapping[str, Target]) -> tuple[Shape, ...]:
+        """Return the goals as the shapes that the camera at its current pose would see."""
+        pairs = zip(self._specs, self.goal_contexts, strict=True)
+        targets = tuple(goal[spec.name].shape_for(spec, context) for spec, context in pairs)
         needing = [feature.kind for feature in self._vector.features if feature.needs_depth]
-        if needing and target.points3d is None:
+        if needing and any(target.points3d is None for target in targets):
             raise ValueError(
                 f"goal: its points are pixels, but {needing[0]!r} needs metres; give points in metres, or use "
                 "features=['points2d']."
             )
-        return target
+        return targets
 
     def _observe(self, observation: Any, info: dict[str, Any]) -> tuple[Any, npt.NDArray[np.float64]]:
         """Return the observation and its distance from the goal."""
-        detection = self._source.detection
-        target = self._source.target if self._given is None else self._given
-        assert detection is not None
-        assert target is not None
-        self.target, shape = target, detection.shapes[self._at]
-        goals = self._vector.pair(shape, target, self.goal_context)
+        own, shapes = self._source.targets, self.goal_shapes
+        self.targets = tuple(own[at] for at in self._at) if self._given is None else self._given
+        goals = self._vector.pair(shapes, self.targets, self.goal_contexts)
         distance = self._vector.distance(*goals)
         if "is_success" in info:
             info["truth/is_success"] = info["is_success"]
         info["goal/distance"] = float(distance)
-        info["is_success"] = bool(distance < self.threshold) and shape.ok
+        info["is_success"] = bool(distance < self.threshold) and all(shape.ok for shape in shapes)
         values = observation if self._main is None else observation[self._main]
         return self._layout.compose(values, observation, goals), distance
 
 
-def record_goal(
-    env: gym.Env[Any, Any], shape: str | None = None, frame: GoalFrame | None = None, *, unmeasured: bool = False
-) -> Target:
-    """Return the shape in the last observation as a goal for ``ShapeGoal``, with the same points index for index.
+def _is_by_name(goal: Any, names: Sequence[str]) -> bool:
+    """Return whether a goal is a mapping from names of shapes to their goals, and not that of one target."""
+    return isinstance(goal, Mapping) and "points" not in goal and any(name in names for name in goal)
+
+
+def _read_targets(goal: Any, names: Sequence[str]) -> dict[str, Target]:
+    """Return the target of each shape.
 
     Args:
-        env: An env that contains a ``ShapeObservation``, after ``reset``.
-        shape: The name of the shape; default the first.
-        frame: ``"base"``, ``"camera"`` or ``"pixels"``; default the first of these that is available.
-        unmeasured: Also record points that were hidden or had no depth, at their estimated positions.
+        goal: For one shape all that ``Target.read`` takes. For any number a mapping from each name to that, for several
+            also a sequence with as many of these as names, such as points ``(S, K, 3)``.
+        names: The names of the shapes.
 
     Raises:
-        ValueError: There is no observation yet, the shape or some of its points were not found, or the frame is not
-            available.
-
-    Example:
-        >>> record_goal(env).to_dict()  # doctest: +SKIP
+        ValueError: The goal is none of these, or has not one target for each name.
     """
-    source = _observing(env)
-    at = _index(source, shape)
-    if source.detection is None:
-        raise ValueError("record_goal: nothing has been seen yet; call reset first.")
-    spec, context = source.detector.shapes[at], source.contexts[at]
-    return Target.of(source.detection.shapes[at], spec, context, frame, unmeasured=unmeasured)
-
-
-def _observing(env: gym.Env[Any, Any]) -> ShapeObservation:
-    """Return the outermost ``ShapeObservation`` in an env."""
-    inner: Any = env
-    while not isinstance(inner, ShapeObservation):
-        if not isinstance(inner, gym.Wrapper):
-            raise ValueError(f"expected an env with a ShapeObservation inside, got {env}: wrap it in ShapeObservation.")
-        inner = inner.env
-    return inner
-
-
-def _index(source: ShapeObservation, shape: str | None) -> int:
-    """Return the index of the shape with a name; 0 without a name."""
-    names = [spec.name for spec in source.detector.shapes]
-    if shape is not None and shape not in names:
-        raise ValueError(f"no shape named {shape!r}{did_you_mean(shape, names)}")
-    return 0 if shape is None else names.index(shape)
+    if _is_by_name(goal, names):
+        if set(goal) != set(names):
+            raise ValueError(f"goal: expected a target for each of the shapes {list(names)}, got {list(goal)}.")
+        return {name: Target.read(goal[name]) for name in names}
+    if len(names) == 1:
+        return {names[0]: Target.read(goal)}
+    given: list[Any] = [goal] if isinstance(goal, (Target, Mapping)) or not isinstance(goal, Iterable) else list(goal)
+    if len(given) != len(names):
+        raise ValueError(
+            f"goal: expected goals of {len(names)} shapes, a mapping {{{names[0]!r}: points, ...}} of {list(names)} or "
+            f"points ({len(names)}, K, 3) in metres, got {len(given)}."
+        )
+    return {name: Target.read(each) for name, each in zip(names, given, strict=True)}
 
 
 def _chosen(known: Sequence[Feature], asked: Any) -> list[Feature]:
@@ -269,14 +297,3 @@ def _checked(threshold: float | None, unit: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < float("inf"):
         raise ValueError(f"threshold: expected a distance above 0, got {value!r}; the default is 0.01 m.")
     return float(value)
-
-
-def _parts(space: spaces.Space[Any], main: str) -> tuple[str | None, spaces.Box, list[str]]:
-    """Return the key of the vector of ``ShapeObservation`` (None without keys), its box, and the other keys."""
-    keys = list(space.spaces) if isinstance(space, spaces.Dict) else None
-    box = space[main] if isinstance(space, spaces.Dict) and main in space.spaces else space
-    if not isinstance(box, spaces.Box):
-        raise ValueError(f"ShapeGoal: expected a Box, or a Dict with a Box as {main!r}, got {space}.")
-    if keys is None:
-        return None, box, []
-    return main, box, [key for key in keys if key not in (main, *GOALS)]

@@ -59,7 +59,7 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         detection: The detection in the last observation; None before the first.
         features: The features of each shape, in the order of the vector.
         blocks: The position of each feature of each shape in the vector, a ``Block`` each.
-        target: The goal of a goal-conditioned env in the last observation, as a shape; else None.
+        targets: The goals of a goal-conditioned env in the last observation, a shape each; else empty.
 
     Raises:
         ValueError: An argument is unknown or does not fit the env.
@@ -119,7 +119,7 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         self._layout = ObservationLayout(space, own["keep"] or (), self._vector, self._goal and self._goal.vector)
         self.observation_space = self._layout.space
         self.detection: Detection | None = None
-        self.target: Shape | None = None
+        self.targets: tuple[Shape, ...] = ()
         self._time = 0.0
         self._begin(context)
 
@@ -160,6 +160,16 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
             self._contexts = [replace(self._context, anchor=point, anchors=anchors) for point in points]
         return self._contexts
 
+    @property
+    def target(self) -> Shape | None:
+        """The first of ``targets``; None without any."""
+        return self.targets[0] if self.targets else None
+
+    @property
+    def goal_count(self) -> int:
+        """How many shapes, from the first on, have goals of the env."""
+        return 0 if self._goal is None else len(self._goal.shapes)
+
     def _begin(self, context: FeatureContext) -> None:
         """Start an episode with a camera, and find the wrapper or env that publishes the anchors."""
         self._context = context
@@ -180,8 +190,9 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
             return values
         if self._goal is None or camera is None:
             return self._layout.compose(values, observation)
-        self.target = self._goal.target(observation["desired_goal"], camera)
-        goals = self._goal.achieved(values), self._goal.vector.desired(self.target, contexts[0])
+        self.targets = self._goal.targets(observation["desired_goal"], camera)
+        desired = self._goal.vector.desired(self.targets, contexts[: len(self.targets)])
+        goals = self._goal.achieved(values), desired
         return self._layout.compose(values, observation, goals)
 
 

@@ -1,13 +1,14 @@
-"""Target: a goal shape as a record, from given points or from a detection."""
+"""Target: a goal shape as a record, from given points or from a detection, and how it is recorded."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal
 
+import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 import yaml
@@ -22,6 +23,8 @@ from shape_obs.spec import Spec, SpecError
 from shape_obs.utils.documents import read_yaml
 from shape_obs.utils.files import write_text
 from shape_obs.wrappers.goal_points import goal_topology, resample, shape_at
+from shape_obs.wrappers.goals import find_shapes
+from shape_obs.wrappers.shape_observation import ShapeObservation
 
 GoalFrame = Literal["base", "camera", "pixels"]
 
@@ -215,3 +218,71 @@ def _posed(camera: CameraModel | None) -> CameraModel:
             "transform_camera_to_base=T), or a goal with frame='camera'."
         )
     return camera
+
+
+def observing(env: gym.Env[Any, Any]) -> ShapeObservation:
+    """Return the outermost ``ShapeObservation`` in an env.
+
+    Raises:
+        ValueError: There is none.
+    """
+    inner: Any = env
+    while not isinstance(inner, ShapeObservation):
+        if not isinstance(inner, gym.Wrapper):
+            raise ValueError(f"expected an env with a ShapeObservation inside, got {env}: wrap it in ShapeObservation.")
+        inner = inner.env
+    return inner
+
+
+def record_goal(
+    env: gym.Env[Any, Any], shape: str | None = None, frame: GoalFrame | None = None, *, unmeasured: bool = False
+) -> Target:
+    """Return the shape in the last observation as a goal for ``ShapeGoal``, with the same points index for index.
+
+    Args:
+        env: An env that contains a ``ShapeObservation``, after ``reset``.
+        shape: The name of the shape; default the first.
+        frame: ``"base"``, ``"camera"`` or ``"pixels"``; default the first of these that is available.
+        unmeasured: Also record points that were hidden or had no depth, at their estimated positions.
+
+    Raises:
+        ValueError: There is no observation yet, the shape or some of its points were not found, or the frame is not
+            available.
+
+    Example:
+        >>> record_goal(env).to_dict()  # doctest: +SKIP
+    """
+    first = observing(env).detector.shapes[0].name
+    recorded = record_goals(env, first if shape is None else shape, frame, unmeasured=unmeasured)
+    if len(recorded) > 1:
+        raise ValueError(f"record_goal: {shape!r} has the slots {list(recorded)}: name one, or call record_goals.")
+    return next(iter(recorded.values()))
+
+
+def record_goals(
+    env: gym.Env[Any, Any],
+    shapes: str | Sequence[str],
+    frame: GoalFrame | None = None,
+    *,
+    unmeasured: bool = False,
+) -> dict[str, Target]:
+    """Return several shapes in the last observation as the goals of a ``ShapeGoal``, by name.
+
+    Args:
+        env: An env that contains a ``ShapeObservation``, after ``reset``.
+        shapes: The name of a shape with a ``count``, for all of its slots, or names of shapes.
+        frame: As for ``record_goal``.
+        unmeasured: As for ``record_goal``.
+
+    Raises:
+        ValueError: As for ``record_goal``.
+    """
+    source = observing(env)
+    places = find_shapes(source.detector.config, shapes)
+    if source.detection is None:
+        raise ValueError("record_goal: nothing has been seen yet; call reset first.")
+    found, known = source.detection.shapes, source.detector.shapes
+    return {
+        known[at].name: Target.of(found[at], known[at], source.contexts[at], frame, unmeasured=unmeasured)
+        for at in places
+    }

@@ -15,7 +15,7 @@ pytest.importorskip("mujoco")
 
 from PIL import Image
 
-from shape_obs.bench import ENVS
+from shape_obs.bench import ENVS, SERVO_ENVS
 from shape_obs.bench.interleaved_timing import Timing
 from shape_obs.bench.servo import study
 from shape_obs.bench.servo.episode import settled
@@ -60,7 +60,7 @@ def found(setting, finals):
 
 class TestSettings:
     def test_every_set_can_be_had_of_its_environment(self):
-        for env in ENVS:
+        for env in SERVO_ENVS:
             made = World(TRUTH._replace(env=env))
             assert made.spec.layout == LAYOUTS[env]
             for specs in FEATURES[env].values():
@@ -278,6 +278,7 @@ class TestCommand:
             (("--envs", "Ring", "--features", "bezier"), "there are no bezier of Ring"),
             (("--blackout", "199", "9"), "end after --steps"),
             (("--view", "above"), "only Hanging has views"),
+            (("--rope", "1"), "0 or 1, and only Cables has ropes"),
         ],
     )
     def test_mistakes_are_reported_before_anything_runs(self, arguments, message, tmp_path, capsys):

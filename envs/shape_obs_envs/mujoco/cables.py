@@ -68,6 +68,7 @@ class CablesEnv(ShapeGoalEnv, EzPickle):
         spec = ChainSpec(grippers=held, **_SPEC)
         model = self._compile(ropes_bodies(spec, ropes), ropes_equality(spec, ropes), ropes_sections(spec, ropes))
         self._ropes = Ropes(spec, ropes, model)
+        self._holders = [GRIPPERS[k] if k < held else f"socket{k}" for k in range(ropes)]
         if not isinstance(self.rope, str):
             self._ropes.marked = (self.rope,)
         workspace = TetheredWorkspace(self._tethers, _LOW[:held], _HIGH[:held])
@@ -87,14 +88,14 @@ class CablesEnv(ShapeGoalEnv, EzPickle):
 
     @property
     def anchors(self) -> Mapping[str, tuple[float, float, float]]:
-        """Where gripper k holds end 0 of rope k: name -> (x, y, z) in metres, base frame."""
-        tips = self._ropes.vertices()[: self._ropes.spec.grippers, 0].tolist()
-        return {name: (x, y, z) for name, (x, y, z) in zip(GRIPPERS, tips, strict=False)}
+        """Where end 0 of each rope is: name -> (x, y, z) in metres, base frame; gripper k or socket k holds rope k."""
+        tips = self._ropes.vertices()[:, 0].tolist()
+        return {name: (x, y, z) for name, (x, y, z) in zip(self._holders, tips, strict=True)}
 
     @property
     def goal_layout(self) -> dict[str, Any]:
         """Layout of the points of a goal: along each rope, from end 0, rope by rope."""
-        return {"kind": "centerline"}
+        return {"kind": "centerline", "count": len(self._holders)} if self.rope == "all" else {"kind": "centerline"}
 
     @property
     def shape_obs_defaults(self) -> dict[str, Any]:
@@ -107,16 +108,22 @@ class CablesEnv(ShapeGoalEnv, EzPickle):
         }
 
     def _shape(self) -> dict[str, Any]:
-        """Return the shapes that the wrapper should find: a slot for each rope, the one that has the goal first."""
-        held = self._ropes.spec.grippers
-        first = 0 if isinstance(self.rope, str) else self.rope
-        order = [first, *(k for k in range(held) if k != first)]
+        """Return the shapes that the wrapper should find: a slot for each rope, the one that has the goal first.
+
+        With a goal of all ropes, slot k is rope k, and point 0 is its end 0. Otherwise ropes without a gripper take the
+        slots that are left, in any order.
+        """
+        if isinstance(self.rope, str):
+            holders = self._holders
+        else:
+            held = range(self._ropes.spec.grippers)
+            holders = [self._holders[k] for k in sorted(held, key=lambda k: k != self.rope)]
         return {
             "kind": "centerline",
             "name": "centerline",
             "n": POINTS,
             "count": self._ropes.ropes,
-            "anchor": {f"centerline{slot}": GRIPPERS[k] for slot, k in enumerate(order)},
+            "anchor": {f"centerline{slot}": name for slot, name in enumerate(holders)},
             "ends": "tips",
             "spacing": "m",
             "radius": self._ropes.nominal.radius,

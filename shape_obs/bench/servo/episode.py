@@ -72,11 +72,11 @@ def play(world: World, law: str, seed: int, steps: int = STEPS) -> Row:
     frames: list[Row] = []
     for _ in range(steps):
         seen, camera = world.seen.points3d, world.view.camera
-        assert seen is not None
         assert camera is not None
         _, feature_ms = timed(partial(vector.compute, [world.seen], [world.view]))
         times = {"detector": world.milliseconds, "feature": feature_ms}
-        frame = Row(before=points, seen=_apart(1e3 * camera.to_base(seen), points), dark=world.dark, **times)
+        off = None if seen is None else _apart(1e3 * camera.to_base(seen), points)
+        frame = Row(before=points, seen=off, dark=world.dark, **times)
         exciting, learnt = servo.exciting, servo.law.learnt
         action = servo.act(observation)
         is_new = servo.law.learnt > learnt and not exciting
@@ -135,6 +135,7 @@ def _servo(world: World, law: str) -> ShapeServo:
         seen=lambda: world.seen,
         measured=lambda: vector.measured([world.seen]),
         weights=how,
+        coordinates=world.coordinates,
     )
 
 

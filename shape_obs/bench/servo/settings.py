@@ -6,15 +6,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from typing import Any, Final, NamedTuple, get_args
 
-from shape_obs.bench import Difficulty, Env, FeatureSet, Source
+from shape_obs.bench import Difficulty, FeatureSet, ServoEnv, Source
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 
 #: The topology of each environment's points, as it publishes it.
-LAYOUTS: Final[Mapping[Env, Topology]] = {
+LAYOUTS: Final[Mapping[ServoEnv, Topology]] = {
     "Cable": Chain(20),
     "Ring": Ring(32),
     "Cloth": Grid(4, 8),
     "Hanging": Chain(20),
+    "Cables": Chain(20),
 }
 
 
@@ -39,7 +40,7 @@ _ROPE: Final[Mapping[FeatureSet, tuple[dict[str, Any], ...]]] = {
     "bspline": (_base("bspline", coefficients=8),),
 }
 #: The sets of features of each environment, except ``"pca"``, which needs a file.
-FEATURES: Final[Mapping[Env, Mapping[FeatureSet, tuple[dict[str, Any], ...]]]] = {
+FEATURES: Final[Mapping[ServoEnv, Mapping[FeatureSet, tuple[dict[str, Any], ...]]]] = {
     "Cable": {
         **_EVERYWHERE,
         **_LINES,
@@ -60,6 +61,7 @@ FEATURES: Final[Mapping[Env, Mapping[FeatureSet, tuple[dict[str, Any], ...]]]] =
         "bspline": (_base("bspline", coefficients=5),),
         "moments": (_base("region_moments", order=3),),
     },
+    "Cables": {**_EVERYWHERE, **_LINES, **_ROPE},
     # Moments, angles and curvatures are those of a plane.
     "Hanging": {**_EVERYWHERE, **_ROPE},
 }
@@ -99,9 +101,10 @@ class Setting(NamedTuple):
         renderer: The simulator's renderer.
         pca: The file for ``"pca"``.
         view: Where the camera of the hanging rope stands; None for the environment's default.
+        rope: Which of several ropes is brought to its goal; None for the environment's default.
     """
 
-    env: Env
+    env: ServoEnv
     difficulty: Difficulty
     source: Source
     size: str
@@ -111,6 +114,7 @@ class Setting(NamedTuple):
     renderer: str = "auto"
     pca: str | None = None
     view: str | None = None
+    rope: int | None = None
 
     @property
     def pixels(self) -> tuple[int, int]:
@@ -128,10 +132,12 @@ class Setting(NamedTuple):
             parts.append("blackout{}x{}".format(*self.disturbance.blackout))
         if self.view is not None:
             parts.append(self.view)
+        if self.rope is not None:
+            parts.append(f"rope{self.rope}")
         return "-".join(parts)
 
 
-def feature_set(env: Env, name: FeatureSet, pca: str | None = None) -> tuple[dict[str, Any], ...] | None:
+def feature_set(env: ServoEnv, name: FeatureSet, pca: str | None = None) -> tuple[dict[str, Any], ...] | None:
     """Return the specs of a set of features, or None if the environment has no such set.
 
     Raises:
@@ -145,7 +151,7 @@ def feature_set(env: Env, name: FeatureSet, pca: str | None = None) -> tuple[dic
 
 
 def combinations(
-    envs: Sequence[Env],
+    envs: Sequence[ServoEnv],
     features: Sequence[FeatureSet],
     laws: Sequence[str],
     difficulties: Sequence[Difficulty] = get_args(Difficulty),
@@ -167,6 +173,6 @@ def combinations(
         yield Setting(env, difficulty, source, size, name, law, wrong, renderer, pca if name == "pca" else None)
 
 
-def missing(envs: Sequence[Env], features: Sequence[FeatureSet]) -> list[str]:
+def missing(envs: Sequence[ServoEnv], features: Sequence[FeatureSet]) -> list[str]:
     """Return the requested feature sets that do not exist, such as ``"bezier of Ring"``."""
     return [f"{name} of {env}" for env in envs for name in features if name != "pca" and name not in FEATURES[env]]

@@ -156,7 +156,8 @@ def _named(setting: Setting) -> Row:
     wrong = setting.disturbance
     blackout = "" if wrong.blackout is None else "{}+{}".format(*wrong.blackout)
     named = {name: getattr(setting, name) for name in _NAMED}
-    return Row(named, view=setting.view or "", invalid=wrong.invalid, blackout=blackout)
+    rope = "" if setting.rope is None else setting.rope
+    return Row(named, view=setting.view or "", rope=rope, invalid=wrong.invalid, blackout=blackout)
 
 
 def _summary(some: Sequence[Row]) -> Row:

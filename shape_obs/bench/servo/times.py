@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from shape_obs.bench import Env, Size
+from shape_obs.bench import ServoEnv, Size
 from shape_obs.bench.env_physics import held_actions, make_env
 from shape_obs.bench.interleaved_timing import Method, Timing, median_ms, time_methods
 from shape_obs.bench.servo.settings import FEATURES, LAYOUTS
@@ -23,7 +23,7 @@ _BURST: Final = 10  # frames in a turn
 _DETECTOR: Final = "detector"
 
 
-def closed_forms(env: Env) -> list[Feature]:
+def closed_forms(env: ServoEnv) -> list[Feature]:
     """Return every feature of an environment's shape that is computed in closed form."""
     specs = [spec for some in FEATURES[env].values() for spec in some]
     specs += [{"kind": "points2d_normalized"}]
@@ -33,7 +33,7 @@ def closed_forms(env: Env) -> list[Feature]:
 
 
 def feature_times(
-    env: Env,
+    env: ServoEnv,
     size: Size,
     frames: int,
     timing: Timing,
@@ -84,7 +84,7 @@ def targets(rows: Sequence[Row]) -> list[Row]:
     ]
 
 
-def _looks(env: Env, size: Size, frames: int, seed: int, renderer: str) -> tuple[list[Row], ShapeDetector]:
+def _looks(env: ServoEnv, size: Size, frames: int, seed: int, renderer: str) -> tuple[list[Row], ShapeDetector]:
     """Return the frames of one episode with their detected shapes, and the detector."""
     from shape_obs_envs.d455 import D455Noise
 

@@ -12,12 +12,12 @@ import numpy.typing as npt
 
 from shape_obs.bench.env_physics import make_env
 from shape_obs.bench.servo.settings import Disturbance, Setting, feature_set
+from shape_obs.configurations.base import Configuration
 from shape_obs.detector import ShapeDetector
 from shape_obs.features import FeatureContext, read_features
 from shape_obs.shape import Detection, Shape
-from shape_obs.wrappers import ShapeGoal, ShapeObservation
+from shape_obs.wrappers import ShapeGoal, ShapeObservation, env_protocol, record_goal
 from shape_obs.wrappers.goal_points import shape_at
-from shape_obs.wrappers.shape_goal import record_goal
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -185,6 +185,7 @@ class World:
         env: The env; it never ends an episode by itself.
         features: The features of the goals.
         spec: The configuration of the shape.
+        coordinates: The values of an action that move the gripper of the named rope, and no other; None for all.
 
     Raises:
         ValueError: The setting has features that do not exist for the environment, or is otherwise not understood.
@@ -198,15 +199,19 @@ class World:
             raise ValueError(f"there are no features {setting.features!r} of {setting.env}.")
         is_true, wrong = setting.source == "truth", setting.disturbance
         options = {"camera": setting.pixels, "renderer": setting.renderer, "difficulty": setting.difficulty}
-        options |= {} if setting.view is None else {"view": setting.view}
+        options |= {name: value for name in ("view", "rope") if (value := getattr(setting, name)) is not None}
         env = Witness(make_env(setting.env, {**options, "render_observation": not is_true}))
         self._disturbed = Disturbed(Unseen(env, setting.pixels) if is_true else D455Noise(env), wrong)
-        self._observing = ShapeObservation(self._disturbed)
+        # The simulator's points are those of the shape with the goal, which other slots need not be known for.
+        first = Configuration.from_dict(env_protocol.defaults(env)["shapes"][0]).slots()[0]
+        self._observing = ShapeObservation(self._disturbed, [first] if is_true else None)
         config = self._observing.detector.config.to_dict()
         if is_true:
             self._observing.detector = TrueDetector(env.get_wrapper_attr("truth"), **config)
         elif wrong.invalid:
             self._observing.detector = LosingDetector(self._disturbed.lost, **config)
+        rope, moved = getattr(env.unwrapped, "rope", None), env.get_wrapper_attr("STEP").size
+        self.coordinates = None if rope is None else range(rope * moved, (rope + 1) * moved)
         self.features, self.spec = tuple(read_features(specs)), self._observing.detector.shapes[0]
         # A reward needs a threshold, but the reward is not used here.
         self.env: gym.Env[Any, Any] = ShapeGoal(self._observing, features=self.features, threshold=0.01)

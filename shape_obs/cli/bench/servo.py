@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from shape_obs.bench import Clock, Difficulty, Env, FeatureSet, Size, Source
+from shape_obs.bench import Clock, Difficulty, FeatureSet, ServoEnv, Size, Source
 from shape_obs.cli.bench.output import Output, check_minimum, image_size, need_matplotlib, progress
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ class Servo:
 
     only: tuple[Literal["study", "times"], ...] = ("study",)
     """What to measure: the study; the time of each feature relative to the detector's."""
-    envs: tuple[Env, ...] = ("Cable",)
+    envs: tuple[ServoEnv, ...] = ("Cable",)
     """Environments."""
     features: tuple[FeatureSet, ...] = ("points3d", "bspline")
     """Sets of features."""
@@ -47,6 +47,8 @@ class Servo:
     """Seed of the first goal; the seeds of the others follow."""
     view: Literal["side", "above"] | None = None
     """Where the camera of the hanging rope stands."""
+    rope: int | None = None
+    """Which rope of Cables is brought to its goal, 0 or 1; default 0. Only its gripper moves."""
     invalid: float = 0.0
     """Share of the camera's points that are lost, drawn again in every frame."""
     blackout: tuple[int, int] | None = None
@@ -103,6 +105,10 @@ def _settings(args: Servo) -> list[Setting]:
         raise ValueError(f"--paired: needs --sources camera truth, got {' '.join(args.sources)}.")
     if args.view is not None and set(args.envs) != {"Hanging"}:
         raise ValueError(f"--view: only Hanging has views, got --envs {' '.join(args.envs)}.")
+    if args.rope is not None and (set(args.envs) != {"Cables"} or args.rope not in (0, 1)):
+        raise ValueError(
+            f"--rope: 0 or 1, and only Cables has ropes, got {args.rope} and --envs {' '.join(args.envs)}."
+        )
     wrong = Disturbance(args.invalid, args.blackout)
     wrong.check()
     if wrong.blackout is not None and sum(wrong.blackout) > args.steps:
@@ -115,7 +121,7 @@ def _settings(args: Servo) -> list[Setting]:
     found = combinations(
         args.envs, args.features, args.laws, args.difficulties, args.sources, args.sizes, wrong, args.renderer, pca
     )
-    found = [each._replace(view=args.view) for each in found]
+    found = [each._replace(view=args.view, rope=args.rope) for each in found]
     settings, without = list(dict.fromkeys(found)), ", ".join(missing(args.envs, args.features))
     if without and not args.json:
         print(f"there are no {without}: left out")
@@ -158,7 +164,7 @@ def _times(args: Servo, output: Output) -> None:
     from shape_obs.bench.interleaved_timing import Timing
     from shape_obs.bench.servo.times import WARM_UP, feature_times, targets
 
-    sizes: list[tuple[Env, Size]] = [(env, image_size(size, 16)) for env in args.envs for size in args.sizes]
+    sizes: list[tuple[ServoEnv, Size]] = [(env, image_size(size, 16)) for env in args.envs for size in args.sizes]
     rows = []
     with progress("times", "frame", len(sizes) * (args.frames + WARM_UP)) as bar:
         timing = Timing(args.seed, args.clock, tick=bar.update)

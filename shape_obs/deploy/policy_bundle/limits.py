@@ -162,8 +162,10 @@ def check_goal(arguments: Mapping[str, Any], what: str) -> None:
                 raise BundleError(f"{what}: unknown feature {item!r}{did_you_mean(item, Feature.kinds())}")
             if not isinstance(item, str):
                 read_features(item)
-        if isinstance(goal, Mapping) and goal.get("configuration") is not None:
-            Configuration.from_dict(goal["configuration"])
+        # The goal of one shape, or a mapping from the names of shapes to their goals.
+        for each in [goal, *goal.values()] if isinstance(goal, Mapping) else []:
+            if isinstance(each, Mapping) and each.get("configuration") is not None:
+                Configuration.from_dict(each["configuration"])
 
 
 def _is_box(value: Any) -> bool:
@@ -240,7 +242,8 @@ def check_wrapper(wrapper: WrapperSpec) -> WrapperSpec:
     if unknown:
         raise needs_trust(f"the wrapper {name} has the argument {unknown[0]!r}, which is not in the list")
     check_numbers(kwargs, f"the wrapper {name}")
-    _check_sizes(kwargs, f"the wrapper {name}")
+    if name != "ShapeGoal":  # whose shape= is a name or several
+        _check_sizes(kwargs, f"the wrapper {name}")
     return replace(wrapper, entry_point=own or f"gymnasium.wrappers:{name}")
 
 

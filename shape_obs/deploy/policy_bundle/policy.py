@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.config.config_file import SCENE_FIELDS, SECTIONS
+from shape_obs.configurations.base import Configuration
 from shape_obs.deploy.policy_bundle import environment
 from shape_obs.deploy.policy_bundle.documents import MALFORMED, BundleError
 from shape_obs.deploy.policy_bundle.environment import obstacle, reading_wrappers
@@ -108,7 +109,8 @@ class Bundle:
         published = env_protocol.published(env, "shape_obs_defaults", {})
         known = {name: published[name] for name in ("shapes", *SECTIONS["scene"]) if name in published}
         local = {"workspace": config.get("workspace"), **running, **known, **(scene or {})}
-        wrapped: gym.Env[Any, Any] = ShapeObservation(env, **{**local, **_site_fields(shape, local)})
+        source = ShapeObservation(env, **{**local, **_site_fields(shape, local)})
+        wrapped: gym.Env[Any, Any] = source
         wrappers = reading_wrappers(self.spec)
         if goal is not None and not self.needs_goal:
             raise BundleError("the policy was trained without goals, so it cannot be given one.")
@@ -116,7 +118,11 @@ class Bundle:
             points = next((feature for feature in self.features if isinstance(feature, Points3D)), None)
             if points is None:
                 raise BundleError("the policy has goals of points in metres, but it reads no feature 'points3d'.")
-            wrapped = ShapeGoal(wrapped, goal, [points], reward_type="sparse", threshold=self.success_threshold)
+            space: Any = space_from_dict(self.record.observation_space, "the observation space")
+            names = _first_shapes(source.detector.shapes, space["desired_goal"].shape[0])
+            wrapped = ShapeGoal(
+                wrapped, goal, [points], shape=names, reward_type="sparse", threshold=self.success_threshold
+            )
         for wrapper in wrappers:
             kwargs = dict(wrapper.kwargs or {})
             if wrapper.name == ShapeGoal.__name__ and goal is not None:
@@ -222,6 +228,12 @@ class Bundle:
                     f"the policy reads {feature.kind!r} in the base frame, but this camera has no extrinsics: give "
                     "--extrinsics FILE, as `shape-obs calibrate base` writes it."
                 )
+
+
+def _first_shapes(shapes: Sequence[Configuration], size: int) -> list[str]:
+    """Return the names of as many shapes, from the first on, as have ``size`` coordinates together; at least one."""
+    ends = np.cumsum([3 * shape.layout.size for shape in shapes]).tolist()
+    return [shape.name for shape, end in zip(shapes, ends, strict=True) if end <= size] or [shapes[0].name]
 
 
 def _site_fields(shape: Mapping[str, Any], scene: Mapping[str, Any]) -> dict[str, Any]:
