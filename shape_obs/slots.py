@@ -82,12 +82,14 @@ class Slots:
     def __init__(self, spec: Configuration, config: DetectorConfig) -> None:
         self.spec, self.more = spec, 0
         self.trackers = [Tracker(slot, config) for slot in spec.slots()]
-        self._wait, self._doubt_before = 0, 0.0
+        self._wait, self._doubt_before, self._bared = 0, 0.0, False
 
     def attempt(self, region: Region, moment: Moment, scene: Scene) -> list[Attempt | None]:
         """Fit each slot to its part of a mask; None for a slot without one. The tracks stay as they are."""
         if region.refusal:
             return [Attempt(Fit(reason=region.refusal), region, None)] * len(self.trackers)
+        if self._bared:  # the last search found connectors
+            region = self.spec.bare(region)[0]
         expected = [tracker.foresee(region, moment) for tracker in self.trackers]
         last = [None if tracker.track is None else _in_image(tracker.track.nodes, scene) for tracker in self.trackers]
         seen = _Seen(region, moment, scene, expected, last)
@@ -143,9 +145,8 @@ class Slots:
                 tries[k] = self._try(k, part, seen)
             return tries, False
         owners, contested, _ = share(seen.region, curves, widths, how)
-        for at in np.flatnonzero(
-            contested
-        ).tolist():  # where ribbons meet, each is first fitted to what is its own for certain
+        # Where ribbons meet, each is first fitted to what is its own for certain.
+        for at in np.flatnonzero(contested).tolist():
             again = self._try(known[at], self._part(seen.region, owners, [at]), seen)
             if not again.found.reason:
                 curves[at] = again.found.form.points
@@ -237,7 +238,7 @@ class Slots:
 
     def _search(self, seen: _Seen, earlier: list[Attempt | None]) -> list[Attempt | None]:
         """Find all objects of the mask, and fit each slot to its own."""
-        region, tries = seen.region, list(earlier)
+        tries, (region, self._bared) = list(earlier), self.spec.bare(seen.region)
         every, reason = self.spec.find_objects(region)
         objects = every[:MOST]  # the largest: pixels are shared among no more
         ahead = [None if each is None else _in_image(each.nodes, seen.scene) for each in seen.expected]
@@ -251,12 +252,9 @@ class Slots:
         seats = seat_tracked(objects, ahead, reach)
         free = [k for k, each in enumerate(seen.expected) if each is None or each.stale]
         targets = [tracker.target(seen.moment) for tracker in self.trackers]
-        kept = (
-            near_tracks(objects, ahead, _KEPT * float(np.median([each.width for each in objects]))) if objects else ()
-        )
-        seats = seat_others(
-            objects, seats, targets, sorted(free, key=lambda k: self.trackers[k].track is not None), kept
-        )
+        kept = near_tracks(objects, ahead, _KEPT * width) if objects else ()
+        free = sorted(free, key=lambda k: self.trackers[k].track is not None)
+        seats = seat_others(objects, seats, targets, free, kept)
         self.more = len(every) - sum(at >= 0 for at in seats)
         shared = [at for at, each in enumerate(objects) if each.region is None]
         curves, widths = [objects[at].curve.points for at in shared], [objects[at].width for at in shared]

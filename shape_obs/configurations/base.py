@@ -206,6 +206,10 @@ class Configuration(Spec, family="configuration", modules=_MODULES):
         """The compiled functions that a fit may call, so that they are ready before the first frame."""
         return ()
 
+    def bare(self, region: Region) -> tuple[Region, bool]:
+        """Return a mask without what is at the objects and is none of them, and whether there is such a thing."""
+        return region, False
+
     def find_objects(self, region: Region) -> tuple[list[SceneObject], str]:
         """Return the objects of a mask that holds several, largest first, and why there are none."""
         return find_components(region)

@@ -22,6 +22,7 @@ from shape_obs.image.outline_tracing import fill_holes
 from shape_obs.image.over_under import upper_strands
 from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
+from shape_obs.initialization.connectors import without_connectors
 from shape_obs.initialization.folding import closest_sides, sharp_bends, unexplained_share
 from shape_obs.initialization.gaps import cheapest_order
 from shape_obs.initialization.medial_axis import medial_axis
@@ -103,6 +104,10 @@ class Centerline(Configuration, kind="centerline"):
     def layout(self) -> Chain:
         """A chain of n points."""
         return Chain(self.n)
+
+    def bare(self, region: Region) -> tuple[Region, bool]:
+        """Return a mask of ropes without the connectors at their ends, and whether there are any."""
+        return without_connectors(region)
 
     def find_objects(self, region: Region) -> tuple[list[SceneObject], str]:
         """Return the ropes of a mask, longest first, and why there are none."""

@@ -38,6 +38,8 @@ def find_ropes(region: Region) -> tuple[list[SceneObject], str]:
     strands, refusal = find_strands(region)
     strands = [strand for strand in strands if not _is_stub(strand)]
     ropes = [_rope(strand, region) for strand in _joined(strands)]
+    if not ropes and not refusal:
+        refusal = f"nothing in the mask is {_SHORTEST:.2g} times as long as it is wide"
     return sorted(ropes, key=lambda rope: -rope.curve.size), refusal
 
 
