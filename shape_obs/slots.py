@@ -239,7 +239,7 @@ class Slots:
     def _search(self, seen: _Seen, earlier: list[Attempt | None]) -> list[Attempt | None]:
         """Find all objects of the mask, and fit each slot to its own."""
         tries, (region, self._bared) = list(earlier), self.spec.bare(seen.region)
-        every, reason = self.spec.find_objects(region)
+        every, reason = self.spec.find_objects(region, seen.moment.frame.rgb)
         objects = every[:MOST]  # the largest: pixels are shared among no more
         ahead = [None if each is None else _in_image(each.nodes, seen.scene) for each in seen.expected]
         width = float(np.median([each.width for each in objects])) if objects else 0.0

@@ -25,6 +25,7 @@ from shape_obs.image.roi import Window
 from shape_obs.initialization.connectors import without_connectors
 from shape_obs.initialization.folding import closest_sides, sharp_bends, unexplained_share
 from shape_obs.initialization.gaps import cheapest_order
+from shape_obs.initialization.likeness import Picture
 from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.initialization.objects import SceneObject
 from shape_obs.initialization.ropes import find_ropes
@@ -109,9 +110,9 @@ class Centerline(Configuration, kind="centerline"):
         """Return a mask of ropes without the connectors at their ends, and whether there are any."""
         return without_connectors(region)
 
-    def find_objects(self, region: Region) -> tuple[list[SceneObject], str]:
+    def find_objects(self, region: Region, picture: Picture | None = None) -> tuple[list[SceneObject], str]:
         """Return the ropes of a mask, longest first, and why there are none."""
-        return find_ropes(region)
+        return find_ropes(region, picture)
 
     def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Fit a chain of nodes: from where the track expects it, else along an initial axis."""

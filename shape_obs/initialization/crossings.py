@@ -17,6 +17,7 @@ from scipy.ndimage import gaussian_filter1d
 from shape_obs.geometry.polyline import arc_length
 from shape_obs.initialization.gaps import Lead, bending, hermite, lead, unit
 from shape_obs.initialization.junctions import Arm, Overlap, Zones, find_zones, follow, merge_nodes
+from shape_obs.initialization.likeness import Look, are_unlike, looks_of_arms
 from shape_obs.initialization.skeleton import Branch, Skeleton
 
 Array = npt.NDArray[np.float64]
@@ -34,8 +35,19 @@ _MOST_TRIED: Final = 8
 # Squared radians by which the second best pairing must bend more for the best to be believed.
 _CLEAR: Final = 0.06
 _DENIED: Final = 5.0  # and what a pair bends more that the silhouette denies
+_PARTED: Final = 15.0  # and what it costs that two strands end because they are unlike; more than what is denied bends
 # In widths: along a shared branch longer than this each strand is followed on its side; a shorter one is leapt over.
 _FOLLOWED: Final = 2.0
+
+
+class Evidence(NamedTuple):
+    """What tells several ropes apart where they meet, beside how they run: their widths, and their colours.
+
+    Args:
+        picture: ``(H, W, 3)`` RGB; None without one.
+    """
+
+    picture: npt.NDArray[np.uint8] | None = None
 
 
 class Strands(NamedTuple):
@@ -57,11 +69,12 @@ class Strands(NamedTuple):
     doubts: tuple[tuple[str, ...], ...]
 
 
-def untangle(skeleton: Skeleton) -> Strands:
+def untangle(skeleton: Skeleton, evidence: Evidence | None = None) -> Strands:
     """String the branches of a skeleton together.
 
     Args:
         skeleton: Of one or several pieces of rope.
+        evidence: What tells ropes apart; None if all strands are of one rope.
 
     Returns:
         As few strands as the free ends allow, bent as little as possible.
@@ -77,7 +90,11 @@ def untangle(skeleton: Skeleton) -> Strands:
     trimmed = {i: _trim(branches[i], (i, 0) in free, (i, 1) in free, width) for i in zones.kept}
     leads = {(i, end): lead(trimmed[i][:: 1 - 2 * end], _REACH * width) for i in zones.kept for end in (0, 1)}
     overlaps = _overlaps(branches, zones, groups, leads, width)
-    options = {zone: _options(group, leads, overlaps.get(zone)) for zone, group in groups.items() if len(group) > 1}
+    met = [arm for group in groups.values() if len(group) > 1 for arm in group] if evidence is not None else []
+    looks = looks_of_arms(branches, met, free, None if evidence is None else evidence.picture)
+    options = {
+        zone: _options(group, leads, overlaps.get(zone), looks) for zone, group in groups.items() if len(group) > 1
+    }
     chosen = dict.fromkeys(options, 0)
     _open_rings(options, chosen, zones.kept)
     partner = _partners(options, chosen)
@@ -158,20 +175,29 @@ def _trim(branch: Branch, free_start: bool, free_end: bool, width: float) -> Arr
     return branch.points[first : max(last, first + 2)]
 
 
-def _options(group: list[Arm], leads: dict[Arm, Lead], overlap: Overlap | None) -> list[tuple[float, Pairing]]:
-    """Return all ways to pair the strands of a zone and their bend, least first; of an odd number one ends here."""
+def _options(
+    group: list[Arm], leads: dict[Arm, Lead], overlap: Overlap | None, looks: dict[Arm, Look]
+) -> list[tuple[float, Pairing]]:
+    """Return all ways to pair the strands of a zone and their bend, least first; of an odd number one ends here.
+
+    Strands that are unlike are not paired: both end here.
+    """
     cost = {(a, b): bending(leads[a], leads[b]) for n, a in enumerate(group) for b in group[n + 1 :]}
+    unlike = {pair for pair in cost if looks and are_unlike(looks[pair[0]], looks[pair[1]])}
     if len(group) > _MOST_TRIED:
         pairing: list[tuple[Arm, Arm]] = []
-        for a, b in sorted(cost, key=lambda pair: cost[pair]):
+        for a, b in sorted(cost.keys() - unlike, key=lambda pair: (cost[pair], pair)):
             if not any({a, b} & set(pair) for pair in pairing):
                 pairing.append((a, b))
         return [(sum(cost[pair] for pair in pairing), tuple(pairing))]
     denied = {frozenset(pair) for pair in overlap.denied} if overlap is not None else set()
-    return sorted(
-        (sum(cost[pair] + _DENIED * (frozenset(pair) in denied) for pair in pairing), pairing)
-        for pairing in _pairings(group)
-    )
+    price = {pair: bend + _DENIED * (frozenset(pair) in denied) for pair, bend in cost.items()}
+    price |= dict.fromkeys(unlike, _PARTED)
+    kept: dict[Pairing, float] = {}
+    for pairs in _pairings(group):
+        joined = tuple(pair for pair in pairs if pair not in unlike)
+        kept[joined] = min(sum(price[pair] for pair in pairs), kept.get(joined, np.inf))
+    return sorted((total, joined) for joined, total in kept.items())
 
 
 def _pairings(group: list[Arm]) -> Iterator[Pairing]:
