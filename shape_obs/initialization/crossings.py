@@ -19,6 +19,7 @@ from shape_obs.initialization.gaps import Lead, bending, hermite, lead, unit
 from shape_obs.initialization.junctions import Arm, Overlap, Zones, find_zones, follow, merge_nodes
 from shape_obs.initialization.likeness import Look, are_unlike, looks_of_arms
 from shape_obs.initialization.skeleton import Branch, Skeleton
+from shape_obs.initialization.strand_doubts import strand_doubts
 
 Array = npt.NDArray[np.float64]
 Pairing = tuple[tuple[Arm, Arm], ...]
@@ -102,12 +103,23 @@ def untangle(skeleton: Skeleton, evidence: Evidence | None = None) -> Strands:
     ways = {pair: path for overlap in overlaps.values() for pair, path in _ways(overlap)}
     doubt_at, everywhere = dict(_doubts(options, chosen, overlaps)), (zones.doubt,) if zones.doubt else ()
     passed = [{zones.of[i, end] for i, _ in route for end in (0, 1)} for route in routes]
+    curves = tuple(_curve(route, trimmed, partner, ways, width) for route in routes)
+    ends = [(route[0], (route[-1][0], 1 - route[-1][1])) for route in routes]
+    inside = tuple((first not in free, last not in free) for first, last in ends)
+    own: list[list[str]] = [[] for _ in routes]
+    if evidence is not None:
+        margin = {zone: _margin(row, chosen[zone]) for zone, row in options.items()}
+        margins = [(margin.get(zones.of[a], np.inf), margin.get(zones.of[b], np.inf)) for a, b in ends]
+        own = strand_doubts(curves, inside, margins, width)
     return Strands(
-        curves=tuple(_curve(route, trimmed, partner, ways, width) for route in routes),
+        curves=curves,
         widths=tuple(_width(skeleton.branches, route) for route in routes),
-        inside=tuple((route[0] not in free, (route[-1][0], 1 - route[-1][1]) not in free) for route in routes),
+        inside=inside,
         closed=tuple(route[0] in partner for route in routes),
-        doubts=tuple((*(doubt_at[zone] for zone in sorted(at & doubt_at.keys())), *everywhere) for at in passed),
+        doubts=tuple(
+            (*(doubt_at[zone] for zone in sorted(at & doubt_at.keys())), *more, *everywhere)
+            for at, more in zip(passed, own, strict=True)
+        ),
     )
 
 
@@ -148,8 +160,13 @@ def _doubts(options: Options, chosen: dict[int, int], overlaps: dict[int, Overla
         if zone in overlaps:
             if overlaps[zone].doubt:
                 yield zone, overlaps[zone].doubt
-        elif len(row) > 1 and row[1 if chosen[zone] == 0 else 0][0] - row[chosen[zone]][0] < _CLEAR:
+        elif _margin(row, chosen[zone]) < _CLEAR:
             yield zone, "at a crossing, two ways to go on are about equally straight"
+
+
+def _margin(row: list[tuple[float, Pairing]], chosen: int) -> float:
+    """Return by how much the best of the other pairings bends more than the chosen one; inf without another one."""
+    return row[1 if chosen == 0 else 0][0] - row[chosen][0] if len(row) > 1 else np.inf
 
 
 def _smooth(branch: Branch, width: float) -> Branch:
