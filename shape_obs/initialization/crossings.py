@@ -36,6 +36,8 @@ _MOST_TRIED: Final = 8
 # Squared radians by which the second best pairing must bend more for the best to be believed.
 _CLEAR: Final = 0.06
 _DENIED: Final = 5.0  # and what a pair bends more that the silhouette denies
+# Below, squared radians in all, two strands are straight: one that the silhouette prefers instead must bend as little.
+_STRAIGHT: Final = 0.25
 _PARTED: Final = 15.0  # and what it costs that two strands end because they are unlike; more than what is denied bends
 # In widths: along a shared branch longer than this each strand is followed on its side; a shorter one is leapt over.
 _FOLLOWED: Final = 2.0
@@ -91,6 +93,8 @@ def untangle(skeleton: Skeleton, evidence: Evidence | None = None) -> Strands:
     trimmed = {i: _trim(branches[i], (i, 0) in free, (i, 1) in free, width) for i in zones.kept}
     leads = {(i, end): lead(trimmed[i][:: 1 - 2 * end], _REACH * width) for i in zones.kept for end in (0, 1)}
     overlaps = _overlaps(branches, zones, groups, leads, width)
+    if evidence is not None:
+        overlaps = {zone: each for zone, each in overlaps.items() if not _is_bent(each, leads)}
     met = [arm for group in groups.values() if len(group) > 1 for arm in group] if evidence is not None else []
     looks = looks_of_arms(branches, met, free, None if evidence is None else evidence.picture)
     options = {
@@ -146,6 +150,13 @@ def _overlaps(
                 found[zone] = overlap
     return found
 
+
+def _is_bent(overlap: Overlap, leads: dict[Arm, Lead]) -> bool:
+    """Return whether two strands would have to bend along a shared branch although others ways are straight."""
+    (a, b), (c, d) = overlap.pairs
+    bends = [sum(bending(leads[p], leads[q]) for p, q in ((a, x), (c, y))) for x, y in ((b, d), (d, b))]
+    return bends[1] < _STRAIGHT and bends[0] - bends[1] > _CLEAR
+ 
 
 def _ways(overlap: Overlap) -> Iterator[tuple[tuple[Arm, Arm], Array]]:
     """Return the paths of an overlap, both ways."""

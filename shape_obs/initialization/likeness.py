@@ -20,9 +20,9 @@ _ALONG: Final = 6.0
 _LEAST: Final = 0.6
 # Two strands are unlike in width if they differ by this share of their mean, by so many pixels, and by so many times
 # what each varies along its way.
-_WIDER: Final = 0.3
+_WIDER: Final = 0.36
 _PIXELS: Final = 2.5
-_VARIED: Final = 2.0
+_VARIED: Final = 2.5
 # And in colour by so many grey levels. Brightness counts less than hue: it changes with the direction of the light.
 _UNLIKE: Final = 36.0
 _MIXED: Final = 3.0
