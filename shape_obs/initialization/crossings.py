@@ -156,7 +156,7 @@ def _is_bent(overlap: Overlap, leads: dict[Arm, Lead]) -> bool:
     (a, b), (c, d) = overlap.pairs
     bends = [sum(bending(leads[p], leads[q]) for p, q in ((a, x), (c, y))) for x, y in ((b, d), (d, b))]
     return bends[1] < _STRAIGHT and bends[0] - bends[1] > _CLEAR
- 
+
 
 def _ways(overlap: Overlap) -> Iterator[tuple[tuple[Arm, Arm], Array]]:
     """Return the paths of an overlap, both ways."""

@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from itertools import combinations
 from typing import Final
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.geometry.polyline import arc_length, interpolate
+from shape_obs.image.region import Region
+from shape_obs.initialization.gaps import lead
 
 Array = npt.NDArray[np.float64]
 Ends = tuple[bool, bool]
@@ -22,6 +25,11 @@ _NEAR: Final = 5.0  # widths: two ropes that end on others so near to each other
 _CHORD: Final = 1.5
 _SHARP: Final = np.deg2rad(70)
 _PROBES: Final = 4  # in a chord
+# Straight on beyond its end on another rope, the mask of a rope that ends there reaches to the other one's border: half
+# of that one's width from its axis, and so much farther at an angle; with a bump by so many widths more.
+_SLANT: Final = 1.2
+_STICKS_OUT: Final = 0.3
+_BEYOND: Final = 5.0  # widths that are looked at
 
 
 def strand_doubts(
@@ -48,6 +56,31 @@ def strand_doubts(
         if sharpest_turn(curve, _CHORD * width) > _SHARP:
             doubts[k].append("it turns sharply where ropes meet")
     return doubts
+
+
+def goes_on_beyond(curve: Array, width: float, region: Region) -> bool:
+    """Return whether a mask sticks out of the rope on which a strand ends, straight on at the other side.
+
+    Args:
+        curve: ``(P, 2)`` pixels, from the end that lies on another rope.
+        width: Of the strand, pixels.
+        region: The mask.
+    """
+    ahead = -lead(curve, 1.5 * width).heading
+    reach = int(_BEYOND * width) + 2
+    column, row = int(curve[0, 0]) - region.window.left, int(curve[0, 1]) - region.window.top
+    left, top = max(column - 2 * reach, 0), max(row - 2 * reach, 0)
+    near = np.pad((region.mask[top : row + 2 * reach, left : column + 2 * reach] > 0).view(np.uint8), 1)
+    depth = np.asarray(cv2.distanceTransform(near, cv2.DIST_L2, 5))
+    places = curve[0] - (region.window.left + left - 1, region.window.top + top - 1)
+    steps = np.rint(places + np.arange(reach)[:, None] * ahead).astype(np.intp)
+    steps = steps[(steps >= 0).all(axis=1) & (steps < near.shape[::-1]).all(axis=1)]
+    along = depth[steps[:, 1], steps[:, 0]]
+    stop = int(np.argmin(along > 0)) if (along == 0).any() else len(along)
+    if stop < 2:
+        return False
+    axis = int(np.argmax(along[: min(stop, int(2 * width) + 2)]))
+    return stop - axis > _SLANT * float(along[axis]) + _STICKS_OUT * width
 
 
 def sharpest_turn(curve: Array, chord: float) -> float:
