@@ -136,12 +136,17 @@ class ShapeDetector:
         depth: npt.NDArray[Any] | None = None,
         camera: CameraModel | Intrinsics | None = None,
         *,
+        rgb: npt.NDArray[np.uint8] | None = None,
         stamp: float | None = None,
         anchors: Anchors = None,
     ) -> Detection:
-        """Find the shapes in a mask from elsewhere: ``(H, W)`` bool or uint8, 0 = background. Else as ``detect``."""
+        """Find the shapes in a mask from elsewhere: ``(H, W)`` bool or uint8, 0 = background. Else as ``detect``.
+
+        The picture ``rgb``, if there is one, shows which strand is above at a crossing, and with a ``count`` which
+        ropes have unlike colours.
+        """
         begin = time.perf_counter()
-        frame = Frame(None, depth, as_camera_model(camera), stamp)
+        frame = Frame(rgb, depth, as_camera_model(camera), stamp)
         return self._detect_in_image(frame, check_mask(mask, frame), anchors, begin)
 
     def detect_cloud(

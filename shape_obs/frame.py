@@ -135,18 +135,19 @@ def check_mask(mask: npt.NDArray[Any], frame: Frame) -> npt.NDArray[np.uint8]:
 
     Args:
         mask: ``(H, W)`` bool or uint8.
-        frame: Depth and camera, which must have the mask's size.
+        frame: The images and the camera, which must have the mask's size.
 
     Raises:
         TypeError: A wrong array type or dtype.
-        ValueError: A wrong shape, or another size than depth or camera.
+        ValueError: A wrong shape, or another size than the images or the camera.
     """
     if not isinstance(mask, np.ndarray) or mask.dtype not in (_FLAG, _BYTE):
         raise TypeError(f"mask: expected a numpy array of bool or uint8, got {_describe(mask)}.")
     if mask.ndim != 2 or mask.size == 0:
         raise ValueError(f"mask: expected shape (H, W), got {mask.shape}.")
     camera = frame.camera and frame.camera.intrinsics.size
-    for name, other in (("depth", frame.size), ("the camera's intrinsics", camera)):
+    image = "rgb" if frame.depth is None else "depth"
+    for name, other in ((image, frame.size), ("the camera's intrinsics", camera)):
         if other is not None and other != mask.shape:
             raise ValueError(f"the mask has {_size(mask)}, {name} {other[1]} x {other[0]}: they must be equal.")
     return mask.view(np.uint8)

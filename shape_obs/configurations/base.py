@@ -210,8 +210,19 @@ class Configuration(Spec, family="configuration", modules=_MODULES):
         """The compiled functions that a fit may call, so that they are ready before the first frame."""
         return ()
 
-    def find_objects(self, region: Region) -> tuple[list[SceneObject], str]:
-        """Return the objects of a mask that holds several, largest first, and why there are none."""
+    def bare(self, region: Region) -> tuple[Region, bool]:
+        """Return a mask without what is at the objects and is none of them, and whether there is such a thing."""
+        return region, False
+
+    def find_objects(
+        self, region: Region, picture: npt.NDArray[np.uint8] | None = None
+    ) -> tuple[list[SceneObject], str]:
+        """Return the objects of a mask that holds several, largest first, and why there are none.
+
+        Args:
+            region: The mask.
+            picture: ``(H, W, 3)`` RGB, if there is one.
+        """
         return find_components(region)
 
     @abstractmethod

@@ -21,7 +21,9 @@ from shape_obs.geometry.topology import Chain, from_tip_to_tip, shrinkage, undo_
 from shape_obs.image.over_under import upper_strands
 from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
+from shape_obs.initialization.connectors import without_connectors
 from shape_obs.initialization.folding import sharp_bends
+from shape_obs.initialization.likeness import Picture
 from shape_obs.initialization.medial_axis import AXIS_FUNCTIONS, medial_axis
 from shape_obs.initialization.objects import SceneObject
 from shape_obs.initialization.ropes import find_ropes
@@ -100,9 +102,13 @@ class Centerline(Configuration, kind="centerline"):
         """A chain of n points."""
         return Chain(self.n)
 
-    def find_objects(self, region: Region) -> tuple[list[SceneObject], str]:
+    def bare(self, region: Region) -> tuple[Region, bool]:
+        """Return a mask of ropes without the connectors at their ends, and whether there are any."""
+        return without_connectors(region)
+
+    def find_objects(self, region: Region, picture: Picture | None = None) -> tuple[list[SceneObject], str]:
         """Return the ropes of a mask, longest first, and why there are none."""
-        return find_ropes(region)
+        return find_ropes(region, picture)
 
     def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Fit a chain of nodes: from where the track expects it, else along an initial axis."""

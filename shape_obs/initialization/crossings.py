@@ -12,29 +12,36 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.compiled import compiled
-from shape_obs.geometry.polyline import arc_length
-from shape_obs.initialization.gaps import Lead, bending, hermite, lead
+from shape_obs.initialization.gaps import Lead, bending, lead
 from shape_obs.initialization.junctions import Arm, Overlap, Zones, find_zones, follow, merge_nodes
+from shape_obs.initialization.likeness import Look, are_unlike, looks_of_arms
 from shape_obs.initialization.skeleton import Branch, Skeleton, middle_value
+from shape_obs.initialization.strand_curves import clear_part, smooth_branch, strand_curve
+from shape_obs.initialization.strand_doubts import strand_doubts
 
 Array = npt.NDArray[np.float64]
 Pairing = tuple[tuple[Arm, Arm], ...]
 Options = dict[int, list[tuple[float, Pairing]]]  # of each zone: what a pairing bends, and the pairing; least first
 
-# Of the staircase of pixels, in widths. Less leaves the stairs in the tangents, more cuts the bends.
-_SMOOTHING: Final = 0.35
-# In widths: over how much of a branch its direction is taken; how much a free end is cut by, where the skeleton may
-# turn into a corner of the rope's end.
-_REACH: Final = 1.2
-_CUT: Final = 0.4
+_REACH: Final = 1.2  # widths of a branch over which its direction is taken
 # More branches than these in one zone are paired one by one: there are (n-1)!! pairings.
 _MOST_TRIED: Final = 8
 # Squared radians by which the second best pairing must bend more for the best to be believed.
 _CLEAR: Final = 0.06
 _DENIED: Final = 5.0  # and what a pair bends more that the silhouette denies
-# In widths: along a shared branch longer than this each strand is followed on its side; a shorter one is leapt over.
-_FOLLOWED: Final = 2.0
+# Below, squared radians in all, two strands are straight: one that the silhouette prefers instead must bend as little.
+_STRAIGHT: Final = 0.25
+_PARTED: Final = 15.0  # and what it costs that two strands end because they are unlike; more than what is denied bends
+
+
+class Evidence(NamedTuple):
+    """What tells several ropes apart where they meet, besides how they run: their widths and their colours.
+
+    Args:
+        picture: ``(H, W, 3)`` RGB; None without one.
+    """
+
+    picture: npt.NDArray[np.uint8] | None = None
 
 
 class Strands(NamedTuple):
@@ -56,27 +63,34 @@ class Strands(NamedTuple):
     doubts: tuple[tuple[str, ...], ...]
 
 
-def untangle(skeleton: Skeleton) -> Strands:
+def untangle(skeleton: Skeleton, evidence: Evidence | None = None) -> Strands:
     """String the branches of a skeleton together.
 
     Args:
         skeleton: Of one or several pieces of rope.
+        evidence: What tells ropes apart; None if all strands are of one rope.
 
     Returns:
         As few strands as the free ends allow, bent as little as possible.
     """
     skeleton, width = merge_nodes(skeleton), skeleton.width
-    branches = [_smooth(branch, width) for branch in skeleton.branches]
+    branches = [smooth_branch(branch, width) for branch in skeleton.branches]
     zones = find_zones(skeleton)
     groups: dict[int, list[Arm]] = {}
     for i in zones.kept:
         for end in (0, 1):
             groups.setdefault(zones.of[i, end], []).append((i, end))
     free = {group[0] for group in groups.values() if len(group) == 1}
-    trimmed = {i: _trim(branches[i], (i, 0) in free, (i, 1) in free, width) for i in zones.kept}
+    trimmed = {i: clear_part(branches[i], (i, 0) in free, (i, 1) in free, width) for i in zones.kept}
     leads = {(i, end): lead(trimmed[i][:: 1 - 2 * end], _REACH * width) for i in zones.kept for end in (0, 1)}
     overlaps = _overlaps(branches, zones, groups, leads, width)
-    options = {zone: _options(group, leads, overlaps.get(zone)) for zone, group in groups.items() if len(group) > 1}
+    if evidence is not None:
+        overlaps = {zone: each for zone, each in overlaps.items() if not _is_bent(each, leads)}
+    met = [arm for group in groups.values() if len(group) > 1 for arm in group] if evidence is not None else []
+    looks = looks_of_arms(branches, met, free, None if evidence is None else evidence.picture)
+    options = {
+        zone: _options(group, leads, overlaps.get(zone), looks) for zone, group in groups.items() if len(group) > 1
+    }
     chosen = dict.fromkeys(options, 0)
     _open_rings(options, chosen, zones.kept)
     partner = _partners(options, chosen)
@@ -84,12 +98,23 @@ def untangle(skeleton: Skeleton) -> Strands:
     ways = {pair: path for overlap in overlaps.values() for pair, path in _ways(overlap)}
     doubt_at, everywhere = dict(_doubts(options, chosen, overlaps)), (zones.doubt,) if zones.doubt else ()
     passed = [{zones.of[i, end] for i, _ in route for end in (0, 1)} for route in routes]
+    curves = tuple(strand_curve(route, trimmed, partner, ways, width) for route in routes)
+    ends = [(route[0], (route[-1][0], 1 - route[-1][1])) for route in routes]
+    inside = tuple((first not in free, last not in free) for first, last in ends)
+    own: list[list[str]] = [[] for _ in routes]
+    if evidence is not None:
+        margin = {zone: _margin(row, chosen[zone]) for zone, row in options.items()}
+        margins = [(margin.get(zones.of[a], np.inf), margin.get(zones.of[b], np.inf)) for a, b in ends]
+        own = strand_doubts(curves, inside, margins, width)
     return Strands(
-        curves=tuple(_curve(route, trimmed, partner, ways, width) for route in routes),
+        curves=curves,
         widths=tuple(_width(skeleton.branches, route) for route in routes),
-        inside=tuple((route[0] not in free, (route[-1][0], 1 - route[-1][1]) not in free) for route in routes),
+        inside=inside,
         closed=tuple(route[0] in partner for route in routes),
-        doubts=tuple((*(doubt_at[zone] for zone in sorted(at & doubt_at.keys())), *everywhere) for at in passed),
+        doubts=tuple(
+            (*(doubt_at[zone] for zone in sorted(at & doubt_at.keys())), *more, *everywhere)
+            for at, more in zip(passed, own, strict=True)
+        ),
     )
 
 
@@ -117,6 +142,13 @@ def _overlaps(
     return found
 
 
+def _is_bent(overlap: Overlap, leads: dict[Arm, Lead]) -> bool:
+    """Return whether two strands would have to bend along a shared branch although others ways are straight."""
+    (a, b), (c, d) = overlap.pairs
+    bends = [sum(bending(leads[p], leads[q]) for p, q in ((a, x), (c, y))) for x, y in ((b, d), (d, b))]
+    return bends[1] < _STRAIGHT and bends[0] - bends[1] > _CLEAR
+
+
 def _ways(overlap: Overlap) -> Iterator[tuple[tuple[Arm, Arm], Array]]:
     """Return the paths of an overlap, both ways."""
     for (first, last), path in zip(overlap.pairs, overlap.paths, strict=True):
@@ -130,68 +162,38 @@ def _doubts(options: Options, chosen: dict[int, int], overlaps: dict[int, Overla
         if zone in overlaps:
             if overlaps[zone].doubt:
                 yield zone, overlaps[zone].doubt
-        elif len(row) > 1 and row[1 if chosen[zone] == 0 else 0][0] - row[chosen[zone]][0] < _CLEAR:
+        elif _margin(row, chosen[zone]) < _CLEAR:
             yield zone, "at a crossing, two ways to go on are about equally straight"
 
 
-def _smooth(branch: Branch, width: float) -> Branch:
-    """Return a branch without the staircase of pixels; its ends stay."""
-    if len(branch.points) < 3:
-        return branch
-    sigma = _SMOOTHING * width * (len(branch.points) - 1) / max(branch.length, 1e-9)
-    return Branch(smooth_curve(branch.points, sigma), branch.radius, branch.nodes)
+def _margin(row: list[tuple[float, Pairing]], chosen: int) -> float:
+    """Return by how much the best of the other pairings bends more than the chosen one; inf without another one."""
+    return row[1 if chosen == 0 else 0][0] - row[chosen][0] if len(row) > 1 else np.inf
 
 
-@compiled("(f8[:,::1], f8)")
-def smooth_curve(curve: Array, sigma: float) -> Array:
-    """Return a curve ``(P, 2)`` blurred along its points, of which ``sigma`` is a number; its ends stay.
+def _options(
+    group: list[Arm], leads: dict[Arm, Lead], overlap: Overlap | None, looks: dict[Arm, Look]
+) -> list[tuple[float, Pairing]]:
+    """Return all ways to pair the strands of a zone and their bend, least first; of an odd number one ends here.
 
-    Beyond its ends it goes on as its image in a point.
+    Strands that are unlike are not paired: both end here.
     """
-    last, reach = len(curve) - 1, int(4 * sigma + 0.5)
-    weight = np.exp(-0.5 * (np.arange(reach + 1) / sigma) ** 2)
-    weight /= 2 * weight.sum() - weight[0]
-    smooth = weight[0] * curve
-    for d in range(2):
-        for p in range(last + 1):
-            for i in range(1, reach + 1):
-                before = curve[p - i, d] if p >= i else 2 * curve[0, d] - curve[min(i - p, last), d]
-                beyond = p + i - last
-                after = curve[p + i, d] if beyond <= 0 else 2 * curve[last, d] - curve[max(last - beyond, 0), d]
-                smooth[p, d] += weight[i] * (before + after)
-    return smooth
-
-
-def _trim(branch: Branch, free_start: bool, free_end: bool, width: float) -> Array:
-    """Return the part of a branch that is clear of the zones at its ends: there the skeleton runs between strands."""
-    start = _CUT * width if free_start else branch.radius.item(0)
-    end = _CUT * width if free_end else branch.radius.item(-1)
-    return middle_part(branch.points, start, end)
-
-
-@compiled("(f8[:,::1], f8, f8)")
-def middle_part(curve: Array, start: float, end: float) -> Array:
-    """Return a curve without so many pixels at its start and its end; of a short one its middle is left."""
-    arc = arc_length(curve)
-    share = min(1.0, 0.7 * arc[-1] / max(start + end, 1e-9))
-    first, last = np.searchsorted(arc, start * share), np.searchsorted(arc, arc[-1] - end * share)
-    return curve[first : max(last, first + 2)]
-
-
-def _options(group: list[Arm], leads: dict[Arm, Lead], overlap: Overlap | None) -> list[tuple[float, Pairing]]:
-    """Return all ways to pair the strands of a zone and their bend, least first; of an odd number one ends here."""
     cost = {(a, b): bending(leads[a], leads[b]) for n, a in enumerate(group) for b in group[n + 1 :]}
+    unlike = {pair for pair in cost if looks and are_unlike(looks[pair[0]], looks[pair[1]])}
     if len(group) > _MOST_TRIED:
         pairing: list[tuple[Arm, Arm]] = []
-        for a, b in sorted(cost, key=lambda pair: cost[pair]):
+        for a, b in sorted(cost.keys() - unlike, key=lambda pair: (cost[pair], pair)):
             if not any({a, b} & set(pair) for pair in pairing):
                 pairing.append((a, b))
         return [(sum(cost[pair] for pair in pairing), tuple(pairing))]
     denied = {frozenset(pair) for pair in overlap.denied} if overlap is not None else set()
-    return sorted(
-        (sum(cost[pair] + _DENIED * (frozenset(pair) in denied) for pair in pairing), pairing)
-        for pairing in _pairings(group)
-    )
+    price = {pair: bend + _DENIED * (frozenset(pair) in denied) for pair, bend in cost.items()}
+    price |= dict.fromkeys(unlike, _PARTED)
+    kept: dict[Pairing, float] = {}
+    for pairs in _pairings(group):
+        joined = tuple(pair for pair in pairs if pair not in unlike)
+        kept[joined] = min(sum(price[pair] for pair in pairs), kept.get(joined, np.inf))
+    return sorted((total, joined) for joined, total in kept.items())
 
 
 def _pairings(group: list[Arm]) -> Iterator[Pairing]:
@@ -247,36 +249,3 @@ def _open_rings(options: Options, chosen: dict[int, int], kept: tuple[int, ...])
             rings, strands = after
         else:
             chosen[zone] = before
-
-
-def _curve(
-    route: list[Arm],
-    trimmed: dict[int, Array],
-    partner: dict[Arm, Arm],
-    ways: dict[tuple[Arm, Arm], Array],
-    width: float,
-) -> Array:
-    """Return a strand's branches, and smooth curves through the zones between them."""
-    pieces = [np.ascontiguousarray(trimmed[i][:: 1 - 2 * end]) for i, end in route]
-    if route[0] in partner:  # a ring is cut open where the first branch begins
-        pieces.append(pieces[0][:1])
-    run = [pieces[0]]
-    for (i, end), before, after in zip(route, pieces[:-1], pieces[1:], strict=False):
-        leaves = (i, 1 - end)
-        way = ways.get((leaves, partner[leaves]))
-        if way is not None and len(way) > _FOLLOWED * width:
-            run += [joint(before, way, width), way, joint(way, after, width), after]
-        else:
-            run += [joint(before, after, width), after]
-    return np.concatenate(run)
-
-
-@compiled("(f8[:,::1], f8[:,::1], f8)")
-def joint(before: Array, after: Array, width: float) -> Array:
-    """Return the points between two curves, with steps of about a pixel."""
-    reach = max(int(np.rint(width / 2)), 1)
-    out = before[-1] - before[-min(reach + 1, len(before))]
-    into = after[min(reach, len(after) - 1)] - after[0]
-    out /= max(np.hypot(out[0], out[1]), 1e-9)
-    into /= max(np.hypot(into[0], into[1]), 1e-9)
-    return hermite(before[-1], out, after[0], into, 1.0)

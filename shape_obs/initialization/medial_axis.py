@@ -12,10 +12,11 @@ from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.image.outline_tracing import SPECK, fill_holes
 from shape_obs.image.region import Component, Region
-from shape_obs.initialization.crossings import joint, middle_part, smooth_curve, untangle
+from shape_obs.initialization.crossings import Evidence, untangle
 from shape_obs.initialization.folding import closest_sides, fold_outline, unexplained_share
 from shape_obs.initialization.gaps import bridge, cheapest_order, first_chord, hermite
 from shape_obs.initialization.skeleton import middle_value, skeleton_graph, trace_skeleton
+from shape_obs.initialization.strand_curves import joint, middle_part, smooth_curve
 from shape_obs.initialization.thinning import thin_pixels
 
 Array = npt.NDArray[np.float64]
@@ -27,6 +28,7 @@ _SPACING: Final = 0.4  # of the points of a traced curve, in widths
 _RIBBON: Final = (1.0, 0.03)
 # A strand that ends on another one is left out as noise while no more of the skeleton than this is left out in all.
 _UNEXPLAINED: Final = 0.1
+_BUMP: Final = 0.65  # widths by which a bump sticks out of one of several ropes
 _MOST_HOLES: Final = 300  # narrow ones among them, which noise makes; the loops of a rope are far fewer
 # Another way to join the pieces that is dearer by this little is as likely.
 _RIVAL: Final = 1.15
@@ -78,11 +80,12 @@ class Strand(NamedTuple):
         return float(arc_length(np.ascontiguousarray(self.curve))[-1])
 
 
-def find_strands(region: Region) -> tuple[list[Strand], str]:
+def find_strands(region: Region, evidence: Evidence | None = None) -> tuple[list[Strand], str]:
     """Return the strands of all components of a mask: simple ribbons are folded, the others thinned to a skeleton.
 
     Args:
         region: The mask.
+        evidence: What tells several ropes apart; None if all strands are of one rope.
 
     Returns:
         The strands, and why the mask shows no ropes; one of the two is empty.
@@ -95,10 +98,10 @@ def find_strands(region: Region) -> tuple[list[Strand], str]:
     holes = int(np.count_nonzero(region.traced.holes[:, 3] >= SPECK))
     if holes > _MOST_HOLES:
         return [], f"the mask has {holes} holes: it is no rope"
-    skeleton = skeleton_graph(_without(region, ribbons), region.window[:2])
+    skeleton = skeleton_graph(_without(region, ribbons), region.window[:2], _BUMP if evidence is not None else 0.0)
     if skeleton.excess:
         return [], f"{skeleton.excess}: it is no rope"
-    for curve, width, inside, closed, doubts in zip(*untangle(skeleton), strict=True):
+    for curve, width, inside, closed, doubts in zip(*untangle(skeleton, evidence), strict=True):
         evened = even(curve, np.zeros(len(curve), bool), width)[0]
         strands.append(Strand(evened, width, inside, closed, doubts))
     return strands, "" if strands else "the mask has no axis"

@@ -10,9 +10,13 @@ import numpy.typing as npt
 
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.image.region import Region
+from shape_obs.initialization.crossings import Evidence
 from shape_obs.initialization.gaps import Lead, bending, bridge, lead
+from shape_obs.initialization.likeness import Picture, are_unlike, look_of_end
 from shape_obs.initialization.medial_axis import Strand, even, find_strands
 from shape_obs.initialization.objects import SceneObject
+from shape_obs.initialization.pinholes import without_pinholes
+from shape_obs.initialization.strand_doubts import goes_on_beyond
 
 Array = npt.NDArray[np.float64]
 End = tuple[int, int]  # a strand, and which of its ends
@@ -24,20 +28,24 @@ _SHORTEST: Final = 3.0
 # the way over it may bend, in rad^2; how much dearer the next best way on must be for either end.
 _GAP: Final = 3.0
 _BENT: Final = 0.3
+_SURE: Final = 0.08  # rad^2: over a gap where it bends more, a rope is joined, and doubted
 _RIVAL: Final = 2.0
 _STIFFNESS: Final = 12.0  # widths of a gap that a bend of 1 rad^2 is as dear as
 _REACH: Final = 1.5  # widths over which an end's direction is taken
 
 
-def find_ropes(region: Region) -> tuple[list[SceneObject], str]:
+def find_ropes(region: Region, picture: Picture | None = None) -> tuple[list[SceneObject], str]:
     """Return the ropes of a mask, longest first, and why there are none.
 
     Args:
         region: The mask of any number of ropes that may lie over each other.
+        picture: ``(H, W, 3)`` RGB, in which ropes may have colours of their own; None without one.
     """
-    strands, refusal = find_strands(region)
+    strands, refusal = find_strands(without_pinholes(region), Evidence(picture))
     strands = [strand for strand in strands if not _is_stub(strand)]
-    ropes = [_rope(strand, region) for strand in _joined(strands)]
+    ropes = [_rope(strand, region) for strand in _joined(strands, picture)]
+    if not ropes and not refusal:
+        refusal = f"nothing in the mask is {_SHORTEST:.2g} times as long as it is wide"
     return sorted(ropes, key=lambda rope: -rope.curve.size), refusal
 
 
@@ -45,12 +53,15 @@ def _is_stub(strand: Strand) -> bool:
     return strand.length < (_STUB if any(strand.inside) else _SHORTEST) * strand.width
 
 
-def _joined(strands: list[Strand]) -> list[Strand]:
+def _joined(strands: list[Strand], picture: Picture | None) -> list[Strand]:
     """Join strands end to end, cheapest first, where no other end is about as good a continuation."""
     ends = [(i, e) for i, strand in enumerate(strands) if not strand.closed for e in (0, 1) if not strand.inside[e]]
     leads = {(i, e): lead(strands[i].curve[:: 1 - 2 * e], _REACH * strands[i].width) for i, e in ends}
     price = {(a, b): _price(strands, a, b, leads) for a, b in combinations(ends, 2) if a[0] != b[0]}
-    price = {pair: cost for pair, cost in price.items() if cost < np.inf}
+    near = {end for pair, cost in price.items() if cost < np.inf for end in pair}
+    looks = {(i, e): look_of_end(strands[i].curve[:: 1 - 2 * e], strands[i].width, picture) for i, e in near}
+    price = {(a, b): cost for (a, b), cost in price.items() if cost < np.inf and not are_unlike(looks[a], looks[b])}
+    doubted: set[int] = set()
     chains = {i: [(i, 0)] for i in range(len(strands))}  # by the strand it begins with: which end each is entered by
     of = {i: i for i in chains}
     for (a, b), cost in sorted(price.items(), key=lambda item: item[1]):
@@ -61,9 +72,12 @@ def _joined(strands: list[Strand]) -> list[Strand]:
         first = first if _last(first) == a else _turned(first)
         second = second if second[0] == b else _turned(second)
         chains[first[0][0]] = first + second
+        doubted |= {a[0]} if bending(leads[a], leads[b]) > _SURE else set()
         of |= {i: first[0][0] for i, _ in first + second}
     return [
-        _chained([strands[i] for i, _ in chain]) if len(chain) > 1 else strands[chain[0][0]]
+        _chained([strands[i] for i, _ in chain], bent=any(i in doubted for i, _ in chain))
+        if len(chain) > 1
+        else strands[chain[0][0]]
         for chain in chains.values()
     ]
 
@@ -84,16 +98,19 @@ def _turned(chain: list[End]) -> list[End]:
     return [(i, 1 - e) for i, e in reversed(chain)]
 
 
-def _chained(pieces: list[Strand]) -> Strand:
-    """Return strands that follow each other as one."""
+def _chained(pieces: list[Strand], *, bent: bool) -> Strand:
+    """Return strands that follow each other as one, which is doubted if it bends in a gap."""
     width = max(piece.width for piece in pieces)
     joined = bridge([piece.curve for piece in pieces], width)
     doubts = tuple(dict.fromkeys(doubt for piece in pieces for doubt in piece.doubts))
+    doubts += ("it bends where the mask is cut: these may be two ropes",) * bent
     return Strand(even(joined.curve, joined.bridged, width)[0], width, doubts=doubts)
 
 
 def _rope(strand: Strand, region: Region) -> SceneObject:
     doubts = list(strand.doubts)
+    if any(e and goes_on_beyond(strand.curve[:: 1 - 2 * k], strand.width, region) for k, e in enumerate(strand.inside)):
+        doubts.append("it ends on another rope, and something sticks out beyond it")
     if strand.closed:
         doubts.append("it is a closed ring: where it begins is unknown")
     hidden = ~region.carries(strand.curve)

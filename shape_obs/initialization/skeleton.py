@@ -86,12 +86,13 @@ class Skeleton(NamedTuple):
     excess: str = ""
 
 
-def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0)) -> Skeleton:
+def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0), bump: float = 0.0) -> Skeleton:
     """Return the skeleton of everything in a mask.
 
     Args:
         mask: (h,w) uint8, 0 = background.
         origin: Image coordinates of the mask's first pixel.
+        bump: How far a branch that is a bump of the border sticks out of its strand at most, in widths.
 
     Returns:
         Spurs pruned, no node between just two branches; without branches for a mask of specks.
@@ -119,7 +120,8 @@ def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0)) -> Skel
     typical = middle_value(radius) if len(radius) else 0.5 * cell
     nodes = np.unique(nodes, return_inverse=True)[1].reshape(-1, 2)
     ends = zip([0, *stops.tolist()], stops.tolist(), nodes.tolist(), strict=False)
-    branches = _pruned(Branch(pixels[first:last], radius[first:last], (a, b)) for first, last, (a, b) in ends)
+    found = (Branch(pixels[first:last], radius[first:last], (a, b)) for first, last, (a, b) in ends)
+    branches = _pruned(found, 2 * bump * typical)
     if len(branches) > _MOST_BRANCHES:
         return Skeleton((), 1.0, f"the mask branches {len(branches)} times")
     return Skeleton(tuple(branches), max(2 * typical, 1.0))
@@ -227,11 +229,11 @@ def trace_skeleton(thin: Mask, pixels: Index) -> tuple[Index, Index, Index]:
     return places[:held], stops[:found], nodes[:found]
 
 
-def _pruned(branches: Iterable[Branch]) -> list[Branch]:
+def _pruned(branches: Iterable[Branch], bump: float) -> list[Branch]:
     """Remove spurs, shortest first: each one removed may turn two others into one longer branch."""
     kept = dict(enumerate(branches))
     degree, added = degrees(kept.values()), len(kept)
-    excess = {i: _excess(branch, degree) for i, branch in kept.items()}
+    excess = {i: _excess(branch, degree, bump) for i, branch in kept.items()}
     while excess and excess[shortest := min(excess, key=excess.__getitem__)] < 0:
         del excess[shortest]
         gone = kept.pop(shortest)
@@ -241,7 +243,7 @@ def _pruned(branches: Iterable[Branch]) -> list[Branch]:
         if len(left) == 2:
             kept[added] = kept.pop(left[0]).fused(kept.pop(left[1]), node)
             degree[node] -= 2
-            excess[added] = _excess(kept[added], degree)
+            excess[added] = _excess(kept[added], degree, bump)
             excess[left[0]] = excess[left[1]] = np.inf
             added += 1
     return list(kept.values())
@@ -252,9 +254,10 @@ def degrees(branches: Iterable[Branch]) -> Counter[int]:
     return Counter(node for branch in branches for node in branch.nodes)
 
 
-def _excess(branch: Branch, degree: Counter[int]) -> float:
+def _excess(branch: Branch, degree: Counter[int], bump: float) -> float:
     """Return how much longer a branch is than a spur may be, pixels; a spur has one free end and one that is not."""
     ends = [degree[node] for node in branch.nodes]
     if min(ends) > 1 or max(ends) < 3:
         return np.inf
-    return branch.length - _SPUR * float(branch.radius[0] if ends[0] > 1 else branch.radius[-1])
+    radius = float(branch.radius[0] if ends[0] > 1 else branch.radius[-1])
+    return branch.length - max(_SPUR * radius, radius + bump)

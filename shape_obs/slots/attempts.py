@@ -64,7 +64,7 @@ class Seen(NamedTuple):
 
 
 def doubt_of(seen: Seen, tries: list[Attempt | None], *, apart: bool = False) -> float:
-    """Return what speaks against fits, in squares of a width: pixels of no rope, what was not seen, new bends and lengths.
+    """Return what speaks against fits, in squares of a width: pixels of no rope, what was not seen, bends and lengths.
 
     A slot that was lost counts as much as its rope. What may well be, with a rope's ragged border, counts nothing.
     """

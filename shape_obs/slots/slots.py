@@ -65,12 +65,14 @@ class Slots:
     def __init__(self, spec: Configuration, config: DetectorConfig) -> None:
         self.spec, self.more = spec, 0
         self.trackers = [Tracker(slot, config) for slot in spec.slots()]
-        self._wait, self._doubt_before = 0, 0.0
+        self._wait, self._doubt_before, self._bared = 0, 0.0, False
 
     def attempt(self, region: Region, moment: Moment, scene: Scene) -> list[Attempt | None]:
         """Fit each slot to its part of a mask; None for a slot without one. The tracks stay as they are."""
         if region.refusal:
             return [Attempt(Fit(reason=region.refusal), region, None)] * len(self.trackers)
+        if self._bared:  # the last search found connectors
+            region = self.spec.bare(region)[0]
         expected = [tracker.foresee(region, moment) for tracker in self.trackers]
         tracks = [tracker.track for tracker in self.trackers]
         ahead, last = ([each and in_image(each.nodes, scene) for each in row] for row in (expected, tracks))
@@ -84,8 +86,9 @@ class Slots:
             # places.
             both = list(zip(last, ahead, strict=True))
             halfway = [None if at is None or to is None else (at + to) / 2 for at, to in both]
-            steps = [np.mean(ahead[k] - last[k], axis=0) for k in met]
-            together = [None if at is None else at + np.mean(steps, axis=0) for at in last]
+            moved = [to - at for k, (at, to) in enumerate(both) if k in met and at is not None and to is not None]
+            step = np.mean([each.mean(axis=0) for each in moved], axis=0)
+            together = [None if at is None else at + step for at in last]
             ways = [tries, *(self._follow(seen, nodes, WIDE)[0] for nodes in (last, halfway, together))]
             doubts = [doubt, *(doubt_of(seen, each) for each in ways[1:])]
             best = int(np.argmin([price_of(seen, *each) for each in zip(ways, doubts, strict=True)]))
@@ -147,8 +150,8 @@ class Slots:
 
     def _search(self, seen: Seen, earlier: list[Attempt | None]) -> list[Attempt | None]:
         """Find all objects of the mask, and fit each slot to its own."""
-        region, tries = seen.region, list(earlier)
-        every, reason = self.spec.find_objects(region)
+        tries, (region, self._bared) = list(earlier), self.spec.bare(seen.region)
+        every, reason = self.spec.find_objects(region, seen.moment.frame.rgb)
         objects = every[:MOST]  # the largest: pixels are shared among no more
         width = median(each.width for each in objects) if objects else 0.0
         far = _FAR * math.hypot(*seen.moment.size)

@@ -1,0 +1,129 @@
+"""Connectors, plugs and hands: parts at the end of a rope that are much wider than the rope, cut from its mask."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.image.find_region import find_region
+from shape_obs.image.region import Region
+
+Array = npt.NDArray[np.float32]
+Mask = npt.NDArray[np.uint8]
+
+# A part is a connector where its inscribed circle has at least this many times the radius of the rope that enters it.
+# Two strands side by side have 2, with ragged borders some 2.2.
+_WIDER: Final = 2.3
+# A connector reaches as far along the rope as circles fit into the mask with so many times the rope's radius.
+_ENDS: Final = 1.45
+_CORE: Final = 1.7  # the radius of a connector over that of the circles by which it is first told from the rope
+# A shorter arm of a connector is no rope: in widths of the arm, and in radii of the connector. A connector has at most
+# so many times the pixels of its rope.
+_LENGTH: Final = 4.0
+_REACH: Final = 2.0
+_HEAVIER: Final = 4.0
+_ALONG: Final = 2.0  # radii of the connector, from its border: how far along the rope its width is measured
+_THIN: Final = 20.0  # percentile of the radii along all axes: thinner ropes have no connectors that are looked for
+_LEAST: Final = 1.5  # pixels: thinner axes are noise
+_NEXT: Final = 2.0  # pixels: the distance of a neighbour, at most
+_MOST: Final = 16  # wide places that are looked at
+
+
+def without_connectors(region: Region) -> tuple[Region, bool]:
+    """Cut the connectors from a mask of ropes.
+
+    A connector is a part that a single rope enters and that is at least 2.3 times as wide as the rope beside it. What
+    several ropes enter is none, nor is a wide object without a rope, or with a short one: the rope must be four widths
+    long, reach as far as the connector is wide and have a quarter of its pixels.
+
+    Args:
+        region: The mask of any number of ropes.
+
+    Returns:
+        The mask without its connectors, and whether there are any; without one the region is returned as it is.
+    """
+    left, top = region.box.left - region.window.left, region.box.top - region.window.top
+    box = slice(top, top + region.box.height), slice(left, left + region.box.width)
+    mask = np.pad((region.mask[box] > 0).view(np.uint8), 1)
+    radius = np.asarray(cv2.distanceTransform(mask, cv2.DIST_L2, 5), np.float32)
+    axis = (radius >= _LEAST) & (radius >= cv2.dilate(radius, np.ones((3, 3), np.uint8)))
+    along = radius[axis]
+    if not len(along) or along.max() < _WIDER * np.percentile(along, _THIN):
+        return region, False
+    cut = _cut(mask, radius, axis)
+    if not cut.any():
+        return region, False
+    bare = region.mask.copy()
+    bare[box][cut[1:-1, 1:-1] > 0] = 0
+    return find_region(bare, region.window, 1, 0.0), True
+
+
+class _Arms(NamedTuple):
+    """What a wide part of a mask is attached to.
+
+    Args:
+        long: How many ropes enter the part.
+        radius: Of the thinnest of them next to the part, pixels.
+        rest: Pixels of all of them.
+        part: The part with what else sticks out of it, ``(h, w)`` 0 and 1.
+    """
+
+    long: int
+    radius: float
+    rest: int
+    part: Mask
+
+
+def _cut(mask: Mask, radius: Array, axis: npt.NDArray[np.bool_]) -> Mask:
+    """Return the pixels of all connectors, ``(h, w)`` 0 and 1."""
+    found, waiting = np.zeros_like(mask), np.where(axis, radius, 0.0)
+    thin = _WIDER * float(np.percentile(radius[axis], _THIN))
+    for _ in range(_MOST):
+        place = int(np.argmax(waiting))
+        widest = float(waiting.flat[place])
+        if widest < thin:
+            break
+        middle = (place % mask.shape[1], place // mask.shape[1])
+        left = mask & ~found
+        core = _around(left, radius, middle, widest / _CORE)
+        arms = _arms(left, core, radius, axis, middle)
+        if arms.long == 1 and widest >= _WIDER * arms.radius:
+            whole = _arms(left, _around(left, radius, middle, _ENDS * arms.radius), radius, axis, middle)
+            if whole.long == 1 and int(whole.part.sum()) <= _HEAVIER * whole.rest:
+                found |= whole.part
+                core = whole.part
+        waiting[core > 0] = 0.0
+    return found
+
+
+def _around(mask: Mask, radius: Array, middle: tuple[int, int], least: float) -> Mask:
+    """Return the part of a mask that circles of a radius fill that can be moved to ``middle`` inside the mask."""
+    core = ((radius > least) & (mask > 0)).view(np.uint8)
+    labels = cv2.connectedComponents(core, connectivity=4)[1]
+    own = (labels != labels[middle[1], middle[0]]).view(np.uint8)
+    away = np.asarray(cv2.distanceTransform(own, cv2.DIST_L2, 5))
+    return ((away <= least) & (mask > 0)).view(np.uint8)
+
+
+def _arms(mask: Mask, part: Mask, radius: Array, axis: npt.NDArray[np.bool_], middle: tuple[int, int]) -> _Arms:
+    """Return the ropes that enter a part of a mask."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask & ~part, connectivity=8)
+    widest = float(radius[middle[1], middle[0]])
+    away = np.asarray(cv2.distanceTransform(1 - part, cv2.DIST_L2, 5))
+    touching = np.unique(labels[away < _NEXT])
+    rows, columns = np.nonzero(axis & (away < _ALONG * widest))
+    whole, thinnest, long, rest = part.copy(), math.inf, 0, 0
+    for label in touching[touching > 0].tolist():
+        own = labels[rows, columns] == label
+        r = float(np.median(radius[rows[own], columns[own]])) if own.any() else _LEAST
+        area = int(stats[label, cv2.CC_STAT_AREA])
+        extent = float(away[labels == label].max())
+        if extent >= max(_LENGTH * 2 * r, _REACH * widest):
+            long, thinnest, rest = long + 1, min(thinnest, r), rest + area
+        else:
+            whole[labels == label] = 1
+    return _Arms(long, thinnest, rest, whole)

@@ -1,0 +1,109 @@
+"""What tells ropes apart where they meet: how wide a strand is beside the place, and which colour it has there."""
+
+from __future__ import annotations
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.geometry.polyline import arc_length
+from shape_obs.initialization.skeleton import Branch
+
+Array = npt.NDArray[np.float64]
+Picture = npt.NDArray[np.uint8]
+Arm = tuple[int, int]  # a branch, and which of its ends
+
+# A strand is measured over so many widths from where it is clear of the others; over less than that share of a width
+# nothing is known.
+_ALONG: Final = 6.0
+_LEAST: Final = 0.6
+# Two strands are unlike in width if they differ by this share of their mean, by so many pixels, and by so many times
+# what each varies along its way.
+_WIDER: Final = 0.36
+_PIXELS: Final = 2.5
+_VARIED: Final = 2.5
+# And in colour by so many grey levels. Brightness counts less than hue: it changes with the direction of the light.
+_UNLIKE: Final = 36.0
+_MIXED: Final = 3.0
+_OPPONENT: Final = np.array([[0.12, 0.12, 0.12], [0.7, -0.7, 0.0], [0.4, 0.4, -0.8]]).T
+_DEVIATION: Final = 1.4826  # of a normal distribution, over its median absolute deviation
+
+
+class Look(NamedTuple):
+    """What a strand looks like near one of its ends.
+
+    Args:
+        width: Pixels; 0 if it is not known.
+        uneven: Standard deviation of the width along the strand, pixels.
+        colour: ``(3,)`` brightness and two differences of colours, grey levels; None if it is not known.
+        mixed: Standard deviation of the colour along the strand, grey levels.
+    """
+
+    width: float = 0.0
+    uneven: float = 0.0
+    colour: Array | None = None
+    mixed: float = 0.0
+
+
+def are_unlike(one: Look, other: Look) -> bool:
+    """Return whether two strands cannot be one rope."""
+    if one.width and other.width:
+        mean, apart = (one.width + other.width) / 2, abs(one.width - other.width)
+        if apart > max(_WIDER * mean, _PIXELS, _VARIED * (one.uneven + other.uneven)):
+            return True
+    if one.colour is None or other.colour is None:
+        return False
+    apart = float(np.linalg.norm(one.colour - other.colour))
+    return apart > max(_UNLIKE, _MIXED * (one.mixed + other.mixed))
+
+
+def looks_of_arms(branches: list[Branch], arms: list[Arm], free: set[Arm], picture: Picture | None) -> dict[Arm, Look]:
+    """Return what each arm of the places where strands meet looks like.
+
+    Args:
+        branches: With the skeleton's radii.
+        arms: Which ends of which branches.
+        free: Those where a rope ends.
+        picture: ``(H, W, 3)`` RGB; None without one.
+    """
+    return {arm: _look_of_arm(branches[arm[0]], arm, (arm[0], 1 - arm[1]) in free, picture) for arm in arms}
+
+
+def look_of_end(curve: Array, width: float, picture: Picture | None) -> Look:
+    """Return what a strand looks like near the first of its points, ``(P, 2)`` pixels."""
+    arc = arc_length(np.ascontiguousarray(curve))
+    near = curve[arc <= _ALONG * width]
+    colour, mixed = _colour(near, picture)
+    return Look(width, 0.0, colour, mixed)
+
+
+def _look_of_arm(branch: Branch, arm: Arm, ends_freely: bool, picture: Picture | None) -> Look:
+    points, radius = branch.points[:: 1 - 2 * arm[1]], branch.radius[:: 1 - 2 * arm[1]]
+    arc = arc_length(np.ascontiguousarray(points))
+    typical = float(np.median(radius))
+    start = float(radius[0]) + 0.5 * typical  # where the disc at the node ends, and the corners that it fills
+    stop = float(arc[-1]) - (typical if ends_freely else float(radius[-1]) + 0.5 * typical)
+    stop = min(stop, start + _ALONG * 2 * typical)
+    if stop - start < max(_LEAST * 2 * typical, 3.0):
+        return Look()
+    own = (arc >= start) & (arc <= stop)
+    middle, uneven = _robust(2 * radius[own][:, None])
+    colour, mixed = _colour(points[own], picture)
+    return Look(float(middle[0]), uneven, colour, mixed)
+
+
+def _colour(points: Array, picture: Picture | None) -> tuple[Array | None, float]:
+    """Return the median colour of a picture along ``(P, 2)`` pixels, and how much it varies."""
+    if picture is None or not len(points):
+        return None, 0.0
+    high, wide = picture.shape[:2]
+    column = np.clip(np.rint(points[:, 0]).astype(np.intp), 0, wide - 1)
+    row = np.clip(np.rint(points[:, 1]).astype(np.intp), 0, high - 1)
+    return _robust(picture[row, column].astype(np.float64) @ _OPPONENT)
+
+
+def _robust(values: npt.NDArray[Any]) -> tuple[Array, float]:
+    """Return the median of ``(P, D)`` values, and the standard deviation about it that half of them have."""
+    middle = np.median(values, axis=0)
+    return middle, _DEVIATION * float(np.median(np.linalg.norm(values - middle, axis=1)))
