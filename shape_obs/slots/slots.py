@@ -82,14 +82,10 @@ class Slots:
         tries, met = self._follow(seen, ahead, EXPECTED)
         doubt = doubt_of(seen, tries, apart=not met)
         if met and (doubt > 0 or changes_of_sides(seen, tries)):
-            # Ropes that run into each other stop, or move on together; where they are expected, they may have changed
-            # places.
-            both = list(zip(last, ahead, strict=True))
+            # Ropes that run into each other stop; where they are expected, they may have changed places.
+            both = zip(last, ahead, strict=True)
             halfway = [None if at is None or to is None else (at + to) / 2 for at, to in both]
-            moved = [to - at for k, (at, to) in enumerate(both) if k in met and at is not None and to is not None]
-            step = np.mean([each.mean(axis=0) for each in moved], axis=0)
-            together = [None if at is None else at + step for at in last]
-            ways = [tries, *(self._follow(seen, nodes, WIDE)[0] for nodes in (last, halfway, together))]
+            ways = [tries, *(self._follow(seen, nodes, WIDE)[0] for nodes in (last, halfway))]
             doubts = [doubt, *(doubt_of(seen, each) for each in ways[1:])]
             best = int(np.argmin([price_of(seen, *each) for each in zip(ways, doubts, strict=True)]))
             tries, doubt = ways[best], doubts[best]
