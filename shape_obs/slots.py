@@ -17,12 +17,12 @@ from shape_obs.geometry.polyline import catmull_rom
 from shape_obs.image.pieces import component_parts
 from shape_obs.image.region import Region
 from shape_obs.image.segmentation import Segmentation
-from shape_obs.image.sharing import CLOSE, EXPECTED, FOUND, MOST, WIDE, Reach, part_of, share
+from shape_obs.image.sharing import CLOSE, EXPECTED, FOUND, MOST, TRACED, WIDE, Reach, part_of, share
 from shape_obs.shape import Shape
 from shape_obs.tracker import Moment, Tracker
 from shape_obs.tracking.exchanges import exchange_gain
 from shape_obs.tracking.prediction import Fit, Prediction
-from shape_obs.tracking.scene_doubt import changed_sides, doubtful_area, doubtful_turns, more_bent, taken_over
+from shape_obs.tracking.scene_doubt import changed_sides, doubt_where_they_meet, doubtful_area, folds_anew, more_bent
 from shape_obs.tracking.seats import add_pieces, near_tracks, seat_others, seat_tracked
 
 Array = npt.NDArray[np.float64]
@@ -31,11 +31,6 @@ _DOUBTFUL: Final = 1.0  # squares of a width: less may speak against fits that a
 _EXCHANGED: Final = 20.0  # of bending energy that an exchange of ends would save
 _BENDING: Final = 3.0  # squares of a width that a unit of bending energy counts as: a kink of 40 degrees has a third
 _PIECE: Final = 1.5  # widths: a piece of a rope that something cuts lies no farther from where the rope is expected
-# Points of a rope are taken over where they lie so many widths nearer to another one than to where it is expected; the
-# share of them, at most, if the other one is lost, and if it is found as well.
-_OTHERS: Final = 1.0
-_TAKEN: Final = 0.15
-_COVERED: Final = 0.5
 _KEPT: Final = 4.0  # widths: what lies on average so near to where a rope is expected is no new one
 _CHANGED_SIDES: Final = 1.0  # what it costs that two ropes change sides, in widths of RMS distance from the tracks
 _FAR: Final = 0.1  # of the diagonal, in an interval: an object that is found farther from a track is another one
@@ -157,25 +152,25 @@ class Slots:
         return (self._kept_apart(seen, tries) if met else tries), met
 
     def _kept_apart(self, seen: _Seen, tries: list[Attempt | None]) -> list[Attempt | None]:
-        """Refuse what was found where another rope is expected, or turns sharply: a rope's own part may be hidden."""
+        """Refuse what was found where another rope is expected, or turns sharply: its own part may be hidden."""
         ahead = [None if each is None else _in_image(each.nodes, seen.scene) for each in seen.expected]
         kept = list(tries)
         for k, each in enumerate(tries):
             own = ahead[k]
-            if each is None or own is None or not each.is_found or each.found.form.points.shape[1] != 2:
+            if each is None or not each.is_found or each.found.form.points.shape[1] != 2:
                 continue
             form, lost, found = each.found.form, [], []
+            if own is None and folds_anew(form, each.observed, each.found.object_width):
+                kept[k] = each._replace(found=Fit(reason="what was found turns sharply where its axis does not"))
+            if own is None:
+                continue
             for j, other in enumerate(tries):
                 if j != k and other is not None and other.is_found and other.found.form.points.shape[1] == 2:
                     found.append(other.found.form.points)
-                elif j != k and (at := ahead[j]) is not None:
-                    lost.append(at)
-            seen_points, margin = form.points[~form.interpolated], _OTHERS * each.found.object_width
-            shares = taken_over(seen_points, own, lost, margin), taken_over(seen_points, own, found, margin)
-            if shares[0] > _TAKEN or shares[1] > _COVERED:
-                kept[k] = each._replace(found=Fit(reason="what was found lies where another rope was"))
-            elif doubtful_turns(form, each.found.object_width):
-                kept[k] = each._replace(found=Fit(reason="what was found turns sharply where ropes meet"))
+                elif j != k and ahead[j] is not None:
+                    lost.append(ahead[j])
+            if reason := doubt_where_they_meet(form, own, lost, found, each.found.object_width):
+                kept[k] = each._replace(found=Fit(reason=reason))
         return kept
 
     def _price(self, seen: _Seen, tries: list[Attempt | None], doubt: float) -> float:
@@ -249,16 +244,15 @@ class Slots:
             0.0 if each is None else _KEPT * width if each.stale else far * min(each.lapse, _LAPSE)
             for each in seen.expected
         ]
-        seats = seat_tracked(objects, ahead, reach)
+        seats, targets = seat_tracked(objects, ahead, reach), [each.target(seen.moment) for each in self.trackers]
         free = [k for k, each in enumerate(seen.expected) if each is None or each.stale]
-        targets = [tracker.target(seen.moment) for tracker in self.trackers]
+        free.sort(key=lambda k: self.trackers[k].track is not None)
         kept = near_tracks(objects, ahead, _KEPT * width) if objects else ()
-        free = sorted(free, key=lambda k: self.trackers[k].track is not None)
         seats = seat_others(objects, seats, targets, free, kept)
         self.more = len(every) - sum(at >= 0 for at in seats)
         shared = [at for at, each in enumerate(objects) if each.region is None]
         curves, widths = [objects[at].curve.points for at in shared], [objects[at].width for at in shared]
-        owners = share(region, curves, widths, FOUND)[0] if shared else None
+        owners = share(region, curves, widths, TRACED)[0] if shared else None
         reach = _PIECE * float(np.median(widths)) if shared else 0.0
         for k, pieces in enumerate(add_pieces(objects, seats, ahead, reach)):
             if pieces:
