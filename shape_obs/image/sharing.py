@@ -194,8 +194,9 @@ class Reach(NamedTuple):
 #: Ribbons where they are expected, and where they may have moved far: what is theirs for certain.
 EXPECTED: Final = Reach(6.0, -3.0)
 WIDE: Final = Reach(16.0, -3.0)
-#: Ribbons where they were found, with all that is theirs; and with the ragged border alone.
+#: Ribbons where they were found: with all that is theirs, without what sticks out, and with the ragged border alone.
 FOUND: Final = Reach(3.0, 0.5, 2.0)
+TRACED: Final = Reach(3.0, 0.5)
 CLOSE: Final = Reach(1.5, 0.5)
 
 

@@ -13,11 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.initialization.gaps import Lead, bending, lead
-from shape_obs.initialization.junctions import Arm, Overlap, Zones, find_zones, follow, merge_nodes
+from shape_obs.initialization.junctions import Arm, Overlap, Zones, find_zones, follow, is_bent, merge_nodes
 from shape_obs.initialization.likeness import Look, are_unlike, looks_of_arms
 from shape_obs.initialization.skeleton import Branch, Skeleton, middle_value
 from shape_obs.initialization.strand_curves import clear_part, smooth_branch, strand_curve
-from shape_obs.initialization.strand_doubts import strand_doubts
+from shape_obs.initialization.strand_doubts import margin_of, strand_doubts, zone_doubts
 
 Array = npt.NDArray[np.float64]
 Pairing = tuple[tuple[Arm, Arm], ...]
@@ -26,11 +26,7 @@ Options = dict[int, list[tuple[float, Pairing]]]  # of each zone: what a pairing
 _REACH: Final = 1.2  # widths of a branch over which its direction is taken
 # More branches than these in one zone are paired one by one: there are (n-1)!! pairings.
 _MOST_TRIED: Final = 8
-# Squared radians by which the second best pairing must bend more for the best to be believed.
-_CLEAR: Final = 0.06
 _DENIED: Final = 5.0  # and what a pair bends more that the silhouette denies
-# Below, squared radians in all, two strands are straight: one that the silhouette prefers instead must bend as little.
-_STRAIGHT: Final = 0.25
 _PARTED: Final = 15.0  # and what it costs that two strands end because they are unlike; more than what is denied bends
 
 
@@ -85,7 +81,7 @@ def untangle(skeleton: Skeleton, evidence: Evidence | None = None) -> Strands:
     leads = {(i, end): lead(trimmed[i][:: 1 - 2 * end], _REACH * width) for i in zones.kept for end in (0, 1)}
     overlaps = _overlaps(branches, zones, groups, leads, width)
     if evidence is not None:
-        overlaps = {zone: each for zone, each in overlaps.items() if not _is_bent(each, leads)}
+        overlaps = {zone: each for zone, each in overlaps.items() if not is_bent(each, leads)}
     met = [arm for group in groups.values() if len(group) > 1 for arm in group] if evidence is not None else []
     looks = looks_of_arms(branches, met, free, None if evidence is None else evidence.picture)
     options = {
@@ -96,14 +92,14 @@ def untangle(skeleton: Skeleton, evidence: Evidence | None = None) -> Strands:
     partner = _partners(options, chosen)
     routes = _routes(zones.kept, partner)
     ways = {pair: path for overlap in overlaps.values() for pair, path in _ways(overlap)}
-    doubt_at, everywhere = dict(_doubts(options, chosen, overlaps)), (zones.doubt,) if zones.doubt else ()
+    doubt_at, everywhere = dict(zone_doubts(options, chosen, overlaps)), (zones.doubt,) if zones.doubt else ()
     passed = [{zones.of[i, end] for i, _ in route for end in (0, 1)} for route in routes]
     curves = tuple(strand_curve(route, trimmed, partner, ways, width) for route in routes)
     ends = [(route[0], (route[-1][0], 1 - route[-1][1])) for route in routes]
     inside = tuple((first not in free, last not in free) for first, last in ends)
     own: list[list[str]] = [[] for _ in routes]
     if evidence is not None:
-        margin = {zone: _margin(row, chosen[zone]) for zone, row in options.items()}
+        margin = {zone: margin_of(row, chosen[zone]) for zone, row in options.items()}
         margins = [(margin.get(zones.of[a], np.inf), margin.get(zones.of[b], np.inf)) for a, b in ends]
         own = strand_doubts(curves, inside, margins, width)
     return Strands(
@@ -142,33 +138,11 @@ def _overlaps(
     return found
 
 
-def _is_bent(overlap: Overlap, leads: dict[Arm, Lead]) -> bool:
-    """Return whether two strands would have to bend along a shared branch although others ways are straight."""
-    (a, b), (c, d) = overlap.pairs
-    bends = [sum(bending(leads[p], leads[q]) for p, q in ((a, x), (c, y))) for x, y in ((b, d), (d, b))]
-    return bends[1] < _STRAIGHT and bends[0] - bends[1] > _CLEAR
-
-
 def _ways(overlap: Overlap) -> Iterator[tuple[tuple[Arm, Arm], Array]]:
     """Return the paths of an overlap, both ways."""
     for (first, last), path in zip(overlap.pairs, overlap.paths, strict=True):
         yield (first, last), path
         yield (last, first), np.ascontiguousarray(path[::-1])
-
-
-def _doubts(options: Options, chosen: dict[int, int], overlaps: dict[int, Overlap]) -> Iterator[tuple[int, str]]:
-    """Return the zones whose strands may go on otherwise, and why."""
-    for zone, row in options.items():
-        if zone in overlaps:
-            if overlaps[zone].doubt:
-                yield zone, overlaps[zone].doubt
-        elif _margin(row, chosen[zone]) < _CLEAR:
-            yield zone, "at a crossing, two ways to go on are about equally straight"
-
-
-def _margin(row: list[tuple[float, Pairing]], chosen: int) -> float:
-    """Return by how much the best of the other pairings bends more than the chosen one; inf without another one."""
-    return row[1 if chosen == 0 else 0][0] - row[chosen][0] if len(row) > 1 else np.inf
 
 
 def _options(

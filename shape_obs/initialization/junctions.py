@@ -20,7 +20,7 @@ import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 
 from shape_obs.geometry.polyline import arc_length
-from shape_obs.initialization.gaps import Lead
+from shape_obs.initialization.gaps import Lead, bending
 from shape_obs.initialization.skeleton import Branch, Skeleton, degrees
 
 Array = npt.NDArray[np.float64]
@@ -50,6 +50,11 @@ _THICKER: Final = 0.56
 _NODE: Final = 0.5  # widths: a branch shorter than this is one node that thinning took apart
 # The skeleton strays from the axis by a pixel, and the radius drops: within so many widths the largest counts.
 _JITTER: Final = 0.2
+
+
+# Squared radians in all: two strands that bend less go straight on, and other pairs that bend so much more are bent.
+_STRAIGHT: Final = 0.25
+_BENT: Final = 0.06
 
 
 class Zones(NamedTuple):
@@ -211,6 +216,13 @@ def follow(branch: Branch, starts: list[Arm], ends: list[Arm], leads: dict[Arm, 
     offset = (side * np.maximum(branch.radius - width / 2, 0.0))[:, None] * normal
     paths = branch.points - offset, branch.points + offset
     return Overlap(((first[0], last[0]), (first[1], last[1])), paths, doubt)
+
+
+def is_bent(overlap: Overlap, leads: dict[Arm, Lead]) -> bool:
+    """Return whether two strands would have to bend along a shared branch, while the other way both go straight on."""
+    (a, b), (c, d) = overlap.pairs
+    bends = [sum(bending(leads[p], leads[q]) for p, q in ((a, x), (c, y))) for x, y in ((b, d), (d, b))]
+    return bends[1] < _STRAIGHT and bends[0] - bends[1] > _BENT
 
 
 def _by_side(arms: list[Arm], leads: dict[Arm, Lead], middle: Array, ahead: Array) -> list[Arm]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -67,7 +67,10 @@ def looks_of_arms(branches: list[Branch], arms: list[Arm], free: set[Arm], pictu
         free: Those where a rope ends.
         picture: ``(H, W, 3)`` RGB; None without one.
     """
-    return {arm: _look_of_arm(branches[arm[0]], arm, (arm[0], 1 - arm[1]) in free, picture) for arm in arms}
+    known = {i: (arc_length(np.ascontiguousarray(branches[i].points)), _middle(branches[i].radius)) for i, _ in arms}
+    return {
+        arm: _look_of_arm(branches[arm[0]], arm, *known[arm[0]], (arm[0], 1 - arm[1]) in free, picture) for arm in arms
+    }
 
 
 def look_of_end(curve: Array, width: float, picture: Picture | None) -> Look:
@@ -78,19 +81,22 @@ def look_of_end(curve: Array, width: float, picture: Picture | None) -> Look:
     return Look(width, 0.0, colour, mixed)
 
 
-def _look_of_arm(branch: Branch, arm: Arm, ends_freely: bool, picture: Picture | None) -> Look:
-    points, radius = branch.points[:: 1 - 2 * arm[1]], branch.radius[:: 1 - 2 * arm[1]]
-    arc = arc_length(np.ascontiguousarray(points))
-    typical = float(np.median(radius))
-    start = float(radius[0]) + 0.5 * typical  # where the disc at the node ends, and the corners that it fills
-    stop = float(arc[-1]) - (typical if ends_freely else float(radius[-1]) + 0.5 * typical)
+def _look_of_arm(
+    branch: Branch, arm: Arm, arc: Array, typical: float, ends_freely: bool, picture: Picture | None
+) -> Look:
+    radius, length = branch.radius, float(arc[-1])
+    # Where the disc at the node ends, and the corners that it fills.
+    start = float(radius[-arm[1]]) + 0.5 * typical
+    stop = length - (typical if ends_freely else float(radius[arm[1] - 1]) + 0.5 * typical)
     stop = min(stop, start + _ALONG * 2 * typical)
     if stop - start < max(_LEAST * 2 * typical, 3.0):
         return Look()
-    own = (arc >= start) & (arc <= stop)
-    middle, uneven = _robust(2 * radius[own][:, None])
-    colour, mixed = _colour(points[own], picture)
-    return Look(float(middle[0]), uneven, colour, mixed)
+    low, high = (length - stop, length - start) if arm[1] else (start, stop)
+    own = slice(*np.searchsorted(arc, (low, high)))
+    widths = 2 * radius[own]
+    middle = _middle(widths)
+    colour, mixed = _colour(branch.points[own], picture)
+    return Look(middle, _DEVIATION * _middle(np.abs(widths - middle)), colour, mixed)
 
 
 def _colour(points: Array, picture: Picture | None) -> tuple[Array | None, float]:
@@ -100,10 +106,11 @@ def _colour(points: Array, picture: Picture | None) -> tuple[Array | None, float
     high, wide = picture.shape[:2]
     column = np.clip(np.rint(points[:, 0]).astype(np.intp), 0, wide - 1)
     row = np.clip(np.rint(points[:, 1]).astype(np.intp), 0, high - 1)
-    return _robust(picture[row, column].astype(np.float64) @ _OPPONENT)
+    colours = picture[row, column].astype(np.float64) @ _OPPONENT
+    middle = np.sort(colours, axis=0)[len(colours) // 2]
+    return middle, _DEVIATION * _middle(np.sqrt(np.sum((colours - middle) ** 2, axis=1)))
 
 
-def _robust(values: npt.NDArray[Any]) -> tuple[Array, float]:
-    """Return the median of ``(P, D)`` values, and the standard deviation about it that half of them have."""
-    middle = np.median(values, axis=0)
-    return middle, _DEVIATION * float(np.median(np.linalg.norm(values - middle, axis=1)))
+def _middle(values: Array) -> float:
+    """Return the median of ``(P,)`` values, of an even number the upper one."""
+    return float(np.sort(values)[len(values) // 2])

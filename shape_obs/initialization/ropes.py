@@ -16,7 +16,7 @@ from shape_obs.initialization.likeness import Picture, are_unlike, look_of_end
 from shape_obs.initialization.medial_axis import Strand, even, find_strands
 from shape_obs.initialization.objects import SceneObject
 from shape_obs.initialization.pinholes import without_pinholes
-from shape_obs.initialization.strand_doubts import goes_on_beyond
+from shape_obs.initialization.strand_doubts import reach_beyond
 
 Array = npt.NDArray[np.float64]
 End = tuple[int, int]  # a strand, and which of its ends
@@ -29,6 +29,7 @@ _SHORTEST: Final = 3.0
 _GAP: Final = 3.0
 _BENT: Final = 0.3
 _SURE: Final = 0.08  # rad^2: over a gap where it bends more, a rope is joined, and doubted
+_ACROSS: Final = 0.15  # rad^2: where it bends more between another rope and a gap beside it, a rope is not joined
 _RIVAL: Final = 2.0
 _STIFFNESS: Final = 12.0  # widths of a gap that a bend of 1 rad^2 is as dear as
 _REACH: Final = 1.5  # widths over which an end's direction is taken
@@ -43,7 +44,7 @@ def find_ropes(region: Region, picture: Picture | None = None) -> tuple[list[Sce
     """
     strands, refusal = find_strands(without_pinholes(region), Evidence(picture))
     strands = [strand for strand in strands if not _is_stub(strand)]
-    ropes = [_rope(strand, region) for strand in _joined(strands, picture)]
+    ropes = [_rope(strand, region) for strand in _joined(strands, region, picture)]
     if not ropes and not refusal:
         refusal = f"nothing in the mask is {_SHORTEST:.2g} times as long as it is wide"
     return sorted(ropes, key=lambda rope: -rope.curve.size), refusal
@@ -53,13 +54,20 @@ def _is_stub(strand: Strand) -> bool:
     return strand.length < (_STUB if any(strand.inside) else _SHORTEST) * strand.width
 
 
-def _joined(strands: list[Strand], picture: Picture | None) -> list[Strand]:
-    """Join strands end to end, cheapest first, where no other end is about as good a continuation."""
-    ends = [(i, e) for i, strand in enumerate(strands) if not strand.closed for e in (0, 1) if not strand.inside[e]]
-    leads = {(i, e): lead(strands[i].curve[:: 1 - 2 * e], _REACH * strands[i].width) for i, e in ends}
-    price = {(a, b): _price(strands, a, b, leads) for a, b in combinations(ends, 2) if a[0] != b[0]}
+def _joined(strands: list[Strand], region: Region, picture: Picture | None) -> list[Strand]:
+    """Join strands end to end, cheapest first, where no other end is about as good a continuation.
+
+    An end that lies on another rope goes on beyond that one, if a gap in the mask is what keeps the two apart.
+    """
+    ends = [(i, e) for i, strand in enumerate(strands) if not strand.closed for e in (0, 1)]
+    away = {(i, e): strands[i].curve[:: 1 - 2 * e] for i, e in ends}
+    leads = {(i, e): lead(curve, _REACH * strands[i].width) for (i, e), curve in away.items()}
+    across = {
+        (i, e): reach_beyond(away[i, e], strands[i].width, region).border for i, e in ends if strands[i].inside[e]
+    }
+    price = {(a, b): _price(strands, a, b, leads, across) for a, b in combinations(ends, 2) if a[0] != b[0]}
     near = {end for pair, cost in price.items() if cost < np.inf for end in pair}
-    looks = {(i, e): look_of_end(strands[i].curve[:: 1 - 2 * e], strands[i].width, picture) for i, e in near}
+    looks = {(i, e): look_of_end(away[i, e], strands[i].width, picture) for i, e in near}
     price = {(a, b): cost for (a, b), cost in price.items() if cost < np.inf and not are_unlike(looks[a], looks[b])}
     doubted: set[int] = set()
     chains = {i: [(i, 0)] for i in range(len(strands))}  # by the strand it begins with: which end each is entered by
@@ -72,22 +80,30 @@ def _joined(strands: list[Strand], picture: Picture | None) -> list[Strand]:
         first = first if _last(first) == a else _turned(first)
         second = second if second[0] == b else _turned(second)
         chains[first[0][0]] = first + second
-        doubted |= {a[0]} if bending(leads[a], leads[b]) > _SURE else set()
+        sure = _ACROSS if a in across or b in across else _SURE
+        doubted |= {a[0]} if bending(leads[a], leads[b]) > sure else set()
         of |= {i: first[0][0] for i, _ in first + second}
     return [
-        _chained([strands[i] for i, _ in chain], bent=any(i in doubted for i, _ in chain))
+        _chained([strands[i] for i, _ in chain], _outer(strands, chain), bent=any(i in doubted for i, _ in chain))
         if len(chain) > 1
         else strands[chain[0][0]]
         for chain in chains.values()
     ]
 
 
-def _price(strands: list[Strand], a: End, b: End, leads: dict[End, Lead]) -> float:
-    """Return what it costs to join two ends, in widths of gap; inf for a gap that is too wide or too bent."""
+def _price(strands: list[Strand], a: End, b: End, leads: dict[End, Lead], across: dict[End, float]) -> float:
+    """Return what it costs to join two ends, in widths of gap; inf for a gap that is too wide or too bent.
+
+    Of a gap that begins on another rope, what lies on that one does not count; ``across`` is so many pixels.
+    """
+    if a in across and b in across:
+        return np.inf
     width = max(strands[a[0]].width, strands[b[0]].width)
     ends = [strands[i].curve[-e] for i, e in (a, b)]
-    gap, bend = float(np.linalg.norm(ends[1] - ends[0])) / width, bending(leads[a], leads[b])
-    return gap + _STIFFNESS * bend if gap < _GAP and bend < _BENT else np.inf
+    most = _ACROSS if a in across or b in across else _BENT
+    gap = max(float(np.linalg.norm(ends[1] - ends[0])) - across.get(a, 0.0) - across.get(b, 0.0), 0.0) / width
+    bend = bending(leads[a], leads[b]) if gap < _GAP else np.inf
+    return gap + _STIFFNESS * bend if bend < most else np.inf
 
 
 def _last(chain: list[End]) -> End:
@@ -98,18 +114,33 @@ def _turned(chain: list[End]) -> list[End]:
     return [(i, 1 - e) for i, e in reversed(chain)]
 
 
-def _chained(pieces: list[Strand], *, bent: bool) -> Strand:
+def _outer(strands: list[Strand], chain: list[End]) -> tuple[bool, bool]:
+    """Return whether the first and the last end of a chain lie on another strand."""
+    (first, e), (last, f) = chain[0], _last(chain)
+    return strands[first].inside[e], strands[last].inside[f]
+
+
+def _chained(pieces: list[Strand], inside: tuple[bool, bool], *, bent: bool) -> Strand:
     """Return strands that follow each other as one, which is doubted if it bends in a gap."""
     width = max(piece.width for piece in pieces)
     joined = bridge([piece.curve for piece in pieces], width)
     doubts = tuple(dict.fromkeys(doubt for piece in pieces for doubt in piece.doubts))
     doubts += ("it bends where the mask is cut: these may be two ropes",) * bent
-    return Strand(even(joined.curve, joined.bridged, width)[0], width, doubts=doubts)
+    if not _runs_from(joined.curve, pieces[0]):
+        inside = inside[1], inside[0]
+    return Strand(even(joined.curve, joined.bridged, width)[0], width, inside, doubts=doubts)
+
+
+def _runs_from(curve: Array, piece: Strand) -> bool:
+    """Return whether a curve begins, and does not end, near a piece of it."""
+    first, last = (float(np.min(np.linalg.norm(piece.curve - curve[end], axis=1))) for end in (0, -1))
+    return first <= last
 
 
 def _rope(strand: Strand, region: Region) -> SceneObject:
     doubts = list(strand.doubts)
-    if any(e and goes_on_beyond(strand.curve[:: 1 - 2 * k], strand.width, region) for k, e in enumerate(strand.inside)):
+    ends = [strand.curve[:: 1 - 2 * e] for e in (0, 1) if strand.inside[e]]
+    if any(reach_beyond(end, strand.width, region).sticks_out for end in ends):
         doubts.append("it ends on another rope, and something sticks out beyond it")
     if strand.closed:
         doubts.append("it is a closed ring: where it begins is unknown")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -13,9 +13,14 @@ import numpy.typing as npt
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.image.region import Region
 from shape_obs.initialization.gaps import lead
+from shape_obs.initialization.junctions import Overlap
 
 Array = npt.NDArray[np.float64]
 Ends = tuple[bool, bool]
+Row = Sequence[tuple[float, Any]]  # what each way to pair the strands of a zone bends, and the pairs; least first
+
+# Squared radians by which the second best pairing must bend more for the best to be believed.
+_CLEAR: Final = 0.06
 
 # A rope that ends on another one: of the strands there the two that go straight on must bend less than any others by so
 # much, squared radians. Where a rope meets another one at 70 degrees it is 0.37.
@@ -26,9 +31,12 @@ _CHORD: Final = 1.5
 _SHARP: Final = np.deg2rad(70)
 _PROBES: Final = 4  # in a chord
 # Straight on beyond its end on another rope, the mask of a rope that ends there reaches to the other one's border: half
-# of that one's width from its axis, and so much farther at an angle; with a bump by so many widths more.
+# of that one's width from its axis, over the sine of the angle, and a little farther; a bump by so many widths more.
 _SLANT: Final = 1.2
 _STICKS_OUT: Final = 0.3
+_WAYS: Final = np.deg2rad(np.arange(0.0, 180.0, 6.0))  # directions in which the other rope may run
+_ASIDE: Final = 1.8  # radii to both sides, where they are compared
+_LEAST_SINE: Final = 0.35
 _BEYOND: Final = 5.0  # widths that are looked at
 
 
@@ -58,8 +66,37 @@ def strand_doubts(
     return doubts
 
 
-def goes_on_beyond(curve: Array, width: float, region: Region) -> bool:
-    """Return whether a mask sticks out of the rope on which a strand ends, straight on at the other side.
+def zone_doubts(
+    options: Mapping[int, Row], chosen: Mapping[int, int], overlaps: Mapping[int, Overlap]
+) -> Iterator[tuple[int, str]]:
+    """Return the zones whose strands may go on otherwise, and why."""
+    for zone, row in options.items():
+        if zone in overlaps:
+            if overlaps[zone].doubt:
+                yield zone, overlaps[zone].doubt
+        elif margin_of(row, chosen[zone]) < _CLEAR:
+            yield zone, "at a crossing, two ways to go on are about equally straight"
+
+
+def margin_of(row: Row, chosen: int) -> float:
+    """Return by how much the best of the other pairings bends more than the chosen one; inf without another one."""
+    return row[1 if chosen == 0 else 0][0] - row[chosen][0] if len(row) > 1 else np.inf
+
+
+class Beyond(NamedTuple):
+    """What lies straight on beyond the end of a strand on another rope.
+
+    Args:
+        border: How far from the end the mask reaches, pixels.
+        sticks_out: Whether that is farther than the other rope's border.
+    """
+
+    border: float
+    sticks_out: bool
+
+
+def reach_beyond(curve: Array, width: float, region: Region) -> Beyond:
+    """Return how far a mask goes straight on where a strand ends on another rope.
 
     Args:
         curve: ``(P, 2)`` pixels, from the end that lies on another rope.
@@ -73,14 +110,25 @@ def goes_on_beyond(curve: Array, width: float, region: Region) -> bool:
     near = np.pad((region.mask[top : row + 2 * reach, left : column + 2 * reach] > 0).view(np.uint8), 1)
     depth = np.asarray(cv2.distanceTransform(near, cv2.DIST_L2, 5))
     places = curve[0] - (region.window.left + left - 1, region.window.top + top - 1)
-    steps = np.rint(places + np.arange(reach)[:, None] * ahead).astype(np.intp)
-    steps = steps[(steps >= 0).all(axis=1) & (steps < near.shape[::-1]).all(axis=1)]
-    along = depth[steps[:, 1], steps[:, 0]]
+    along = _values(depth, places + np.arange(reach)[:, None] * ahead)
     stop = int(np.argmin(along > 0)) if (along == 0).any() else len(along)
     if stop < 2:
-        return False
+        return Beyond(float(stop), False)
     axis = int(np.argmax(along[: min(stop, int(2 * width) + 2)]))
-    return stop - axis > _SLANT * float(along[axis]) + _STICKS_OUT * width
+    radius = float(along[axis])
+    # The other rope runs where the mask is thick to both sides.
+    ways = np.stack([np.cos(_WAYS), np.sin(_WAYS)], axis=1)
+    sides = [_values(depth, places + axis * ahead + side * _ASIDE * radius * ways) for side in (-1, 1)]
+    way = ways[int(np.argmax(sides[0] + sides[1]))]
+    sine = max(abs(float(ahead[0] * way[1] - ahead[1] * way[0])), _LEAST_SINE)
+    return Beyond(float(stop), stop - axis > _SLANT * radius / sine + _STICKS_OUT * width)
+
+
+def _values(image: npt.NDArray[Any], places: Array) -> Array:
+    """Return an image's values at ``(N, 2)`` places, 0 outside."""
+    column, row = np.rint(places).astype(np.intp).T
+    inside = (row >= 0) & (column >= 0) & (row < image.shape[0]) & (column < image.shape[1])
+    return np.where(inside, image[np.where(inside, row, 0), np.where(inside, column, 0)], 0.0)
 
 
 def sharpest_turn(curve: Array, chord: float) -> float:

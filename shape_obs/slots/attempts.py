@@ -16,7 +16,7 @@ from shape_obs.image.sharing import CLOSE, share
 from shape_obs.tracker import Moment
 from shape_obs.tracking.exchanges import exchange_gain
 from shape_obs.tracking.prediction import Fit, Prediction, Track
-from shape_obs.tracking.scene_doubt import changed_sides, doubtful_area, doubtful_turns, more_bent, taken_over
+from shape_obs.tracking.scene_doubt import changed_sides, doubt_where_they_meet, doubtful_area, folds_anew, more_bent
 
 Array = npt.NDArray[np.float64]
 
@@ -27,11 +27,6 @@ _BENDING: Final = 3.0  # squares of a width that a unit of bending energy counts
 # more costs, in squares of a width.
 _STEADY: Final = 0.3
 _GROWN: Final = 2.0
-# Points of a rope are taken over where they lie so many widths nearer to another one than to where it is expected; the
-# share of them, at most, if the other one is lost, and if it is found as well.
-_OTHERS: Final = 1.0
-_TAKEN: Final = 0.15
-_COVERED: Final = 0.5
 _CHANGED_SIDES: Final = 1.0  # what it costs that two ropes change sides, in widths of RMS distance from the tracks
 
 
@@ -127,21 +122,20 @@ def kept_apart(seen: Seen, tries: list[Attempt | None]) -> list[Attempt | None]:
     kept = list(tries)
     for k, each in enumerate(tries):
         own = seen.ahead[k]
-        if each is None or own is None or not each.is_found or each.found.form.points.shape[1] != 2:
+        if each is None or not each.is_found or each.found.form.points.shape[1] != 2:
             continue
         form, lost, found = each.found.form, [], []
+        if own is None:
+            if folds_anew(form, each.observed, each.found.object_width):
+                kept[k] = each._replace(found=Fit(reason="what was found turns sharply where its axis does not"))
+            continue
         for j, other in enumerate(tries):
             if j != k and other is not None and other.is_found and other.found.form.points.shape[1] == 2:
                 found.append(other.found.form.points)
             elif j != k and (at := seen.ahead[j]) is not None:
                 lost.append(at)
-        seen_points = np.ascontiguousarray(form.points[~form.interpolated][::4])  # a width apart
-        margin = _OTHERS * each.found.object_width
-        shares = taken_over(seen_points, own, lost, margin), taken_over(seen_points, own, found, margin)
-        if shares[0] > _TAKEN or shares[1] > _COVERED:
-            kept[k] = each._replace(found=Fit(reason="what was found lies where another rope was"))
-        elif doubtful_turns(form, each.found.object_width):
-            kept[k] = each._replace(found=Fit(reason="what was found turns sharply where ropes meet"))
+        if reason := doubt_where_they_meet(form, own, lost, found, each.found.object_width):
+            kept[k] = each._replace(found=Fit(reason=reason))
     return kept
 
 

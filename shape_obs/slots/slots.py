@@ -17,7 +17,7 @@ from shape_obs.image.connected_runs import draw_components
 from shape_obs.image.pieces import component_parts, split_components
 from shape_obs.image.region import Region
 from shape_obs.image.segmentation import Segmentation
-from shape_obs.image.sharing import EXPECTED, FOUND, MOST, WIDE, Reach, owned_runs, part_of, share, share_pixels
+from shape_obs.image.sharing import EXPECTED, FOUND, MOST, TRACED, WIDE, Reach, owned_runs, part_of, share, share_pixels
 from shape_obs.shape import Shape
 from shape_obs.slots.attempts import (
     DOUBTFUL,
@@ -166,7 +166,7 @@ class Slots:
         self.more = len(every) - sum(at >= 0 for at in seats)
         shared = [at for at, each in enumerate(objects) if each.region is None]
         curves, widths = [objects[at].curve.points for at in shared], [objects[at].width for at in shared]
-        owners = share(region, curves, widths, FOUND)[0] if shared else None
+        owners = share(region, curves, widths, TRACED)[0] if shared else None
         reach = _PIECE * median(widths) if shared else 0.0
         for k, pieces in enumerate(add_pieces(objects, seats, seen.ahead, reach)):
             if pieces:

@@ -11,6 +11,8 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.observed import Observed
+from shape_obs.image.region import Region
 
 Array = npt.NDArray[np.float64]
 
@@ -24,6 +26,11 @@ _LEAST: Final = 3
 _MOST_OF: Final = 0.6
 _BESIDE: Final = 0.8
 _TREMOR: Final = 0.1  # of the bending energy times the width, from frame to frame, where strands cross
+# Points of a rope are taken over where they lie so many widths nearer to another one than to where it is expected; the
+# share of them, at most, if the other one is lost, and if it is found as well.
+_OTHERS: Final = 1.0
+_TAKEN: Final = 0.15
+_COVERED: Final = 0.5
 _TURN: Final = 3.0  # squares of a width that a sharp turn counts as
 
 
@@ -41,6 +48,36 @@ def doubtful_area(curve: FittedCurve, width: float) -> float:
 def doubtful_turns(curve: FittedCurve, width: float) -> int:
     """Return how often a rope turns more sharply than ropes do."""
     return sharp_turns(np.ascontiguousarray(curve.points), curve.arc, _CHORD * width, _SHARP)
+
+
+def doubt_where_they_meet(
+    form: FittedCurve, own: Array, lost: Sequence[Array], found: Sequence[Array], width: float
+) -> str:
+    """Return why a rope that meets others may be another one, or a part of it hidden; empty if nothing says so.
+
+    Args:
+        form: What was found, in pixels.
+        own: ``(K, 2)`` pixels, where the rope's nodes are expected.
+        lost: ``(J, 2)`` each, where those of ropes are expected that were not found.
+        found: ``(J, 2)`` each, the curves of the others.
+        width: Of the rope, pixels.
+    """
+    seen, margin = np.ascontiguousarray(form.points[~form.interpolated][::4]), _OTHERS * width  # a width apart
+    if taken_over(seen, own, lost, margin) > _TAKEN or taken_over(seen, own, found, margin) > _COVERED:
+        return "what was found lies where another rope was"
+    return "what was found turns sharply where ropes meet" if doubtful_turns(form, width) else ""
+
+
+def folds_anew(curve: FittedCurve, observed: Observed, width: float) -> bool:
+    """Return whether a rope turns sharply that was found along an axis which does not.
+
+    Args:
+        curve: In pixels.
+        observed: What it was fitted to; only the mask of a rope that was found among others has an axis.
+        width: Of the rope, pixels.
+    """
+    axis = observed.axis if isinstance(observed, Region) else None
+    return axis is not None and doubtful_turns(curve, width) > doubtful_turns(axis, width)
 
 
 def more_bent(nodes: Array, before: Array, width: float) -> float:

@@ -126,7 +126,7 @@ def test_cables_with_connectors_are_followed():
 
 
 @pytest.mark.skipif(not HARNESSES.is_dir(), reason="the masks of wire harnesses are not there")
-@pytest.mark.parametrize("name", ["0_after", "0_before", "4_after", "4_before", "7_after"])
+@pytest.mark.parametrize("name", ["0_after", "0_before", "4_after", "4_before", "7_after", "7_before"])
 def test_real_wire_harnesses(name):
     """A thick cable comes from the left border; a thin one branches off it, and crosses it before it was moved."""
     mask = cv2.imread(str(HARNESSES / f"harness_mask_{name}.png"), cv2.IMREAD_GRAYSCALE)
