@@ -101,7 +101,8 @@ def untangle(skeleton: Skeleton, evidence: Evidence | None = None) -> Strands:
     if evidence is not None:
         margin = {zone: margin_of(row, chosen[zone]) for zone, row in options.items()}
         margins = [(margin.get(zones.of[a], np.inf), margin.get(zones.of[b], np.inf)) for a, b in ends]
-        own = strand_doubts(curves, inside, margins, width)
+        radii = [np.concatenate([skeleton.branches[i].radius for i, _ in route]) for route in routes]
+        own = strand_doubts(curves, inside, margins, radii, width)
     return Strands(
         curves=curves,
         widths=tuple(_width(skeleton.branches, route) for route in routes),

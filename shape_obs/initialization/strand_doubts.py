@@ -1,4 +1,4 @@
-"""Why a strand of several ropes may be wrong: it ends on another rope, or turns more sharply than ropes do."""
+"""Why a strand of several ropes may be wrong: how it ends on another rope, how it turns, and what it runs through."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ _NEAR: Final = 5.0  # widths: two ropes that end on others so near to each other
 _CHORD: Final = 1.5
 _SHARP: Final = np.deg2rad(70)
 _PROBES: Final = 4  # in a chord
+_WIDE: Final = 3.0  # times as wide as a strand is no place where it lies beside others
 # Straight on beyond its end on another rope, the mask of a rope that ends there reaches to the other one's border: half
 # of that one's width from its axis, over the sine of the angle, and a little farther; a bump by so many widths more.
 _SLANT: Final = 1.2
@@ -41,7 +42,11 @@ _BEYOND: Final = 5.0  # widths that are looked at
 
 
 def strand_doubts(
-    curves: Sequence[Array], inside: Sequence[Ends], margins: Sequence[tuple[float, float]], width: float
+    curves: Sequence[Array],
+    inside: Sequence[Ends],
+    margins: Sequence[tuple[float, float]],
+    radii: Sequence[Array],
+    width: float,
 ) -> list[list[str]]:
     """Return why each strand may be wrong, in words.
 
@@ -49,6 +54,7 @@ def strand_doubts(
         curves: ``(P_i, 2)`` pixels each.
         inside: Whether the first and the last end of each lie on another strand.
         margins: By how much more the strands where each end lies would bend, if it was this one that went on.
+        radii: ``(R_i,)`` along the branches of each, to the nodes at their ends, pixels.
         width: Of the typical strand, pixels.
     """
     doubts: list[list[str]] = [[] for _ in curves]
@@ -63,6 +69,9 @@ def strand_doubts(
     for k, curve in enumerate(curves):
         if sharpest_turn(curve, _CHORD * width) > _SHARP:
             doubts[k].append("it turns sharply where ropes meet")
+        own = np.sort(radii[k])
+        if own[-1] > _WIDE * own[len(own) // 2]:
+            doubts[k].append(f"it runs through something {own[-1] / own[len(own) // 2]:.1f} times as wide")
     return doubts
 
 
