@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.compiled import compiled
 from shape_obs.geometry.polyline import arc_length
 from shape_obs.initialization.skeleton import Branch
 
@@ -92,11 +93,25 @@ def _look_of_arm(
     if stop - start < max(_LEAST * 2 * typical, 3.0):
         return Look()
     low, high = (length - stop, length - start) if arm[1] else (start, stop)
-    own = slice(*np.searchsorted(arc, (low, high)))
-    widths = 2 * radius[own]
-    middle = _middle(widths)
-    colour, mixed = _colour(branch.points[own], picture)
-    return Look(middle, _DEVIATION * _middle(np.abs(widths - middle)), colour, mixed)
+    first, last, middle, deviation = middle_width(radius, arc, low, high)
+    colour, mixed = _colour(branch.points[first:last], picture)
+    return Look(middle, _DEVIATION * deviation, colour, mixed)
+
+
+@compiled("(f8[::1], f8[::1], f8, f8)")
+def middle_width(radius: Array, arc: Array, low: float, high: float) -> tuple[int, int, float, float]:
+    """Return the points of a branch between two places, the median width there, and its median deviation.
+
+    Args:
+        radius: ``(P,)`` along the branch, pixels.
+        arc: ``(P,)`` its arc length.
+        low: Where the part begins along it; some points lie in it.
+        high: Where it ends.
+    """
+    first, last = int(np.searchsorted(arc, low)), int(np.searchsorted(arc, high))
+    widths = 2 * radius[first:last]
+    middle = np.sort(widths)[len(widths) // 2]
+    return first, last, middle, np.sort(np.abs(widths - middle))[len(widths) // 2]
 
 
 def _colour(points: Array, picture: Picture | None) -> tuple[Array | None, float]:
