@@ -70,6 +70,15 @@ def test_more_ropes_than_slots_are_reported():
     assert json.loads(json.dumps(detection.to_dict()))["more"] == {"centerline": 1}
 
 
+def test_more_ropes_than_can_share_pixels_raise_no_error():
+    mask = np.zeros((480, 640), np.uint8)
+    for k in range(40):
+        cv2.line(mask, (20 + 78 * (k % 8), 50 + 95 * (k // 8)), (80 + 78 * (k % 8), 80 + 95 * (k // 8)), 255, 4)
+    detection = ShapeDetector([Centerline(n=10, count=16)]).detect_mask(mask)
+    assert detection.ok
+    assert detection.more == {"centerline": 24}
+
+
 def test_anchors_tie_slots_to_ropes():
     anchors = {"left": DOWN[-1], "right": UP[-1]}
     spec = Centerline(n=10, count=2, ends="tips", anchor={"centerline0": "left", "centerline1": "right"})

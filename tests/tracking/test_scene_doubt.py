@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.tracking.exchanges import exchange_gain
+from shape_obs.tracking.exchanges import exchange_gain, meetings
 from shape_obs.tracking.scene_doubt import (
     changed_sides,
     doubtful_area,
@@ -95,3 +95,18 @@ def test_kinks_that_an_exchange_of_ends_would_take_away():
     assert exchange_gain(*apart, WIDTH) == 0
     ending = curve(path((0, 0), (100, 50))), second
     assert exchange_gain(*ending, WIDTH) == 0
+
+
+def test_meetings_by_brute_force():
+    rng = np.random.default_rng(5)
+    found = 0
+    for _ in range(40):
+        first, second = (np.cumsum(rng.normal(0, 3, (int(rng.integers(1, 90)), 2)), axis=0) for _ in range(2))
+        away = np.linalg.norm(first[:, None] - second[None], axis=2)
+        near = np.concatenate([[0], away.min(axis=1) < 4.0, [0]])
+        starts, stops = np.flatnonzero(np.diff(near) > 0), np.flatnonzero(np.diff(near) < 0)
+        nearest = away.argmin(axis=1)
+        expected = [(a, b - 1, nearest[a:b].min(), nearest[a:b].max()) for a, b in zip(starts, stops, strict=True)]
+        np.testing.assert_array_equal(meetings(first, second, 4.0), np.reshape(expected, (-1, 4)))
+        found += len(expected)
+    assert found > 50

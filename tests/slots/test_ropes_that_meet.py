@@ -1,0 +1,25 @@
+"""Ropes that move over each other and into contact keep their slots; more with `bench claims --only several`."""
+
+from __future__ import annotations
+
+import pytest
+
+from shape_obs.bench.rope_identity_claims import rope_tracks
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed", "frames"),
+    [
+        ("crossing", 15, 100),  # a tip passes over another tip: each is expected up to its end
+        ("crossing", 46, 90),
+        ("touching", 30, 120),  # side by side, with tips that the other rope could take over: lengths are kept
+        ("touching", 31, 60),
+        ("touching", 26, 90),
+    ],
+)
+def test_tips_that_meet_are_not_exchanged(kind, seed, frames):
+    (row,) = rope_tracks([seed], kinds=[kind], frames=frames)
+    assert row.swaps == 0
+    assert row.flips == 0
+    assert row.slips <= 3
+    assert row.ok >= 0.97 * row.due
