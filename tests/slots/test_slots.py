@@ -72,11 +72,12 @@ def test_more_ropes_than_slots_are_reported():
 
 def test_more_ropes_than_can_share_pixels_raise_no_error():
     mask = np.zeros((480, 640), np.uint8)
-    for k in range(40):
-        cv2.line(mask, (20 + 78 * (k % 8), 50 + 95 * (k // 8)), (80 + 78 * (k % 8), 80 + 95 * (k // 8)), 255, 4)
-    detection = ShapeDetector([Centerline(n=10, count=16)]).detect_mask(mask)
-    assert detection.ok
-    assert detection.more == {"centerline": 24}
+    for k in range(70):
+        u, v, half = 35 + 62 * (k % 10), 30 + 65 * (k // 10), 24 if k < 69 else 20
+        cv2.line(mask, (u - half, v - 10), (u + half, v + 10), 255, 4)
+    anchors = {"shortest": (float(u), float(v))}
+    detector = ShapeDetector([Centerline(n=10, count=1, anchor="shortest")])
+    assert detector.detect_mask(mask, anchors=anchors).more == {"centerline": 69}
 
 
 def test_anchors_tie_slots_to_ropes():
