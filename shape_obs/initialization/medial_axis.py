@@ -15,7 +15,6 @@ from shape_obs.image.region import Component, Region
 from shape_obs.initialization.crossings import Evidence, untangle
 from shape_obs.initialization.folding import closest_sides, fold_outline, unexplained_share
 from shape_obs.initialization.gaps import bridge, cheapest_order, first_chord, hermite
-from shape_obs.initialization.likeness import middle_width
 from shape_obs.initialization.skeleton import middle_value, skeleton_graph, trace_skeleton
 from shape_obs.initialization.strand_curves import joint, middle_part, smooth_curve
 from shape_obs.initialization.thinning import thin_pixels
@@ -38,7 +37,7 @@ _TURNS_BACK: Final = 1.8  # rad^2, see ``bending``: an arc of 155 degrees over a
 #: The compiled functions that finding an axis in a mask may call.
 AXIS_FUNCTIONS: Final = (
     closest_sides, unexplained_share, fill_holes, thin_pixels, trace_skeleton, middle_value, smooth_curve, middle_part,
-    joint, middle_width, first_chord, hermite, cheapest_order,
+    joint, first_chord, hermite, cheapest_order,
 )  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from shape_obs.image.pieces import component_parts, split_components
 from shape_obs.image.region import Region
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.image.sharing import EXPECTED, FOUND, MOST, TRACED, WIDE, Reach, owned_runs, part_of, share, share_pixels
+from shape_obs.initialization.likeness import middle_width
 from shape_obs.shape import Shape
 from shape_obs.slots.attempts import (
     DOUBTFUL,
@@ -45,7 +46,7 @@ _PATIENCE: Final = 10  # frames between two searches for objects that do not com
 #: The compiled functions that slots may call.
 SLOT_FUNCTIONS: Final = (
     share_pixels, split_components, owned_runs, draw_components, nearest_distances, bending_energy, sharp_turns,
-    side_distances, meetings,
+    side_distances, meetings, middle_width,
 )  # fmt: skip
 _NOTHING: Final = "no other object was found in the mask"
 
