@@ -72,10 +72,11 @@ def test_more_ropes_than_slots_are_reported():
 
 def test_more_ropes_than_can_share_pixels_raise_no_error():
     mask = np.zeros((480, 640), np.uint8)
-    for k in range(70):
-        u, v, half = 35 + 62 * (k % 10), 30 + 65 * (k // 10), 24 if k < 69 else 20
+    places = [(35 + 62 * (k % 10), 30 + 65 * (k // 10)) for k in range(70)]
+    for k, (u, v) in enumerate(places):
+        half = 24 if k < 69 else 20
         cv2.line(mask, (u - half, v - 10), (u + half, v + 10), 255, 4)
-    anchors = {"shortest": (float(u), float(v))}
+    anchors = {"shortest": places[-1]}
     detector = ShapeDetector([Centerline(n=10, count=1, anchor="shortest")])
     assert detector.detect_mask(mask, anchors=anchors).more == {"centerline": 69}
 
