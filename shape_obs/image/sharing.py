@@ -136,12 +136,12 @@ def _rows(runs: Indices) -> Indices:
 @compiled
 def _spread(owners: Owners, runs: Indices, begin: Indices, steps: int) -> None:
     """Give pixels of a mask that belong to none to the owners of the nearest, some steps along the mask, in place."""
-    beside = _neighbours(runs, begin)
+    adjacent = _neighbours(runs, begin)
     waiting, count, at = np.empty(len(owners), np.int64), 0, 0
     for pixel in range(len(owners)):
         if owners[pixel]:
             for k in range(4):
-                if beside[pixel, k] >= 0 and owners[beside[pixel, k]] == 0:
+                if adjacent[pixel, k] >= 0 and owners[adjacent[pixel, k]] == 0:
                     waiting[count] = pixel
                     count += 1
                     break
@@ -151,7 +151,7 @@ def _spread(owners: Owners, runs: Indices, begin: Indices, steps: int) -> None:
             pixel = waiting[at]
             at += 1
             for k in range(4):
-                other = beside[pixel, k]
+                other = adjacent[pixel, k]
                 if other >= 0 and owners[other] == 0:
                     owners[other] = owners[pixel]
                     waiting[count] = other
@@ -161,20 +161,20 @@ def _spread(owners: Owners, runs: Indices, begin: Indices, steps: int) -> None:
 @compiled
 def _neighbours(runs: Indices, begin: Indices) -> Indices:
     """Return the pixels on the left, on the right, above and below each pixel of a mask, -1 for the background."""
-    beside, above = np.full((begin[-1], 4), -1), 0
+    adjacent, above = np.full((begin[-1], 4), -1), 0
     for at in range(len(runs)):
         for pixel in range(begin[at], begin[at + 1]):
-            beside[pixel, 0] = pixel - 1 if pixel > begin[at] else -1
-            beside[pixel, 1] = pixel + 1 if pixel < begin[at + 1] - 1 else -1
+            adjacent[pixel, 0] = pixel - 1 if pixel > begin[at] else -1
+            adjacent[pixel, 1] = pixel + 1 if pixel < begin[at + 1] - 1 else -1
         while runs[above, 0] < runs[at, 0] - 1 or (runs[above, 0] < runs[at, 0] and runs[above, 2] <= runs[at, 1]):
             above += 1
         other = above  # the runs of the row above that begin before this one ends
         while runs[other, 0] == runs[at, 0] - 1 and runs[other, 1] < runs[at, 2]:
             for column in range(max(runs[at, 1], runs[other, 1]), min(runs[at, 2], runs[other, 2])):
                 here, there = begin[at] + column - runs[at, 1], begin[other] + column - runs[other, 1]
-                beside[here, 2], beside[there, 3] = there, here
+                adjacent[here, 2], adjacent[there, 3] = there, here
             other += 1
-    return beside
+    return adjacent
 
 
 class Reach(NamedTuple):

@@ -36,7 +36,7 @@ _MOST: Final = 16  # wide places that are looked at
 def without_connectors(region: Region) -> tuple[Region, bool]:
     """Cut the connectors from a mask of ropes.
 
-    A connector is a part that a single rope enters and that is at least 2.3 times as wide as the rope beside it. What
+    A connector is a part that a single rope enters and that is at least 2.3 times as wide as the rope next to it. What
     several ropes enter is none, nor is a wide object without a rope, or with a short one: the rope must be four widths
     long, reach as far as the connector is wide and have a quarter of its pixels.
 

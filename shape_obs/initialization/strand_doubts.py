@@ -30,7 +30,7 @@ _NEAR: Final = 5.0  # widths: two ropes that end on others so near to each other
 _CHORD: Final = 1.5
 _SHARP: Final = np.deg2rad(70)
 _PROBES: Final = 4  # in a chord
-_WIDE: Final = 3.0  # times as wide as a strand is no place where it lies beside others
+_WIDE: Final = 3.0  # times as wide as a strand is no place where it lies next to others
 # Straight on beyond its end on another rope, the mask of a rope that ends there reaches to the other one's border: half
 # of that one's width from its axis, over the sine of the angle, and a little farther; a bump by so many widths more.
 _SLANT: Final = 1.2
