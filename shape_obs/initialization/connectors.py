@@ -20,7 +20,7 @@ Mask = npt.NDArray[np.uint8]
 _WIDER: Final = 2.3
 # A connector reaches as far along the rope as circles fit into the mask with so many times the rope's radius.
 _ENDS: Final = 1.45
-_CORE: Final = 1.7  # the radius of a connector over that of the circles by which it is first told from the rope
+_CORE: Final = 1.7  # the radius of a connector over that of the circles by which it is first separated from the rope
 # A shorter arm of a connector is no rope: in widths of the arm, and in radii of the connector. A connector has at most
 # so many times the pixels of its rope.
 _LENGTH: Final = 4.0

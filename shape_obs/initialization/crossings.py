@@ -26,12 +26,12 @@ Options = dict[int, list[tuple[float, Pairing]]]  # of each zone: what a pairing
 _REACH: Final = 1.2  # widths of a branch over which its direction is taken
 # More branches than these in one zone are paired one by one: there are (n-1)!! pairings.
 _MOST_TRIED: Final = 8
-_DENIED: Final = 5.0  # and what a pair bends more that the silhouette denies
-_PARTED: Final = 15.0  # and what it costs that two strands end because they are unlike; more than what is denied bends
+_DENIED: Final = 5.0  # rad^2 that a pair of strands costs more that the silhouette denies
+_PARTED: Final = 15.0  # rad^2 that it costs that two strands end because they are unlike: more than what is denied
 
 
 class Evidence(NamedTuple):
-    """What tells several ropes apart where they meet, besides how they run: their widths and their colours.
+    """By what several ropes differ where they meet, apart from how they run: their widths and their colours.
 
     Args:
         picture: ``(H, W, 3)`` RGB; None without one.
@@ -64,7 +64,7 @@ def untangle(skeleton: Skeleton, evidence: Evidence | None = None) -> Strands:
 
     Args:
         skeleton: Of one or several pieces of rope.
-        evidence: What tells ropes apart; None if all strands are of one rope.
+        evidence: By what ropes differ; None if all strands are of one rope.
 
     Returns:
         As few strands as the free ends allow, bent as little as possible.

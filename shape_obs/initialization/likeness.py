@@ -1,4 +1,4 @@
-"""What tells ropes apart where they meet: how wide a strand is next to the place, and which colour it has there."""
+"""By what ropes differ where they meet: how wide a strand is next to the place, and which colour it has there."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ def find_strands(region: Region, evidence: Evidence | None = None) -> tuple[list
 
     Args:
         region: The mask.
-        evidence: What tells several ropes apart; None if all strands are of one rope.
+        evidence: By what several ropes differ; None if all strands are of one rope.
 
     Returns:
         The strands, and why the mask shows no ropes; one of the two is empty.

@@ -1,4 +1,4 @@
-"""Ropes that meet are told apart by their widths and colours."""
+"""Ropes that meet are kept apart by their widths and colours."""
 
 from __future__ import annotations
 
