@@ -151,6 +151,8 @@ class Detection:
     crossings: tuple[Crossing, ...] = ()
 
     def __getitem__(self, name: str) -> Shape:
+        if not isinstance(name, str):
+            raise TypeError(f"detection[...] takes the name of a shape, not {name!r}; use detection.shapes[{name!r}].")
         for shape in self.shapes:
             if shape.name == name:
                 return shape

@@ -232,6 +232,8 @@ def test_a_detection_is_read_by_name_and_place(wave):
     with pytest.raises(KeyError) as error:
         detection["roep"]
     assert error.value.args[0] == "no shape named 'roep'; did you mean 'rope'? Known: rope, cable."
+    with pytest.raises(TypeError, match=r"takes the name of a shape, not 0; use detection.shapes\[0\]"):
+        detection[0]  # type: ignore[arg-type]
 
 
 def test_timings_hold_each_stage_in_milliseconds(blue, intrinsics):

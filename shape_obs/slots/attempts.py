@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import combinations, cycle
+from itertools import combinations, cycle, permutations
 from statistics import median
 from typing import Final, NamedTuple
 
@@ -16,7 +16,14 @@ from shape_obs.image.sharing import CLOSE, share
 from shape_obs.tracker import Moment
 from shape_obs.tracking.exchanges import exchange_gain
 from shape_obs.tracking.prediction import Fit, Prediction, Track
-from shape_obs.tracking.scene_doubt import changed_sides, doubt_where_they_meet, doubtful_area, folds_anew, more_bent
+from shape_obs.tracking.scene_doubt import (
+    changed_sides,
+    claims_the_same,
+    doubt_where_they_meet,
+    doubtful_area,
+    folds_anew,
+    more_bent,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -136,6 +143,19 @@ def kept_apart(seen: Seen, tries: list[Attempt | None]) -> list[Attempt | None]:
                 lost.append(at)
         if reason := doubt_where_they_meet(form, own, lost, found, each.found.object_width):
             kept[k] = each._replace(found=Fit(reason=reason))
+    return _one_rope_each(kept)
+
+
+def _one_rope_each(tries: list[Attempt | None]) -> list[Attempt | None]:
+    """Refuse what was found of a rope, a part of which is hidden, where another rope is that is seen better."""
+    kept = list(tries)
+    for one, other in permutations(range(len(kept)), 2):
+        first, second = kept[one], kept[other]
+        if first is None or second is None or not first.is_found or not second.is_found:
+            continue
+        forms, width = (first.found.form, second.found.form), first.found.object_width
+        if all(form.points.shape[1] == 2 for form in forms) and claims_the_same(*forms, width):
+            kept[one] = first._replace(found=Fit(reason="what was found belongs to another rope"))
     return kept
 
 

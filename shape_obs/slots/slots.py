@@ -30,6 +30,7 @@ from shape_obs.slots.attempts import (
     kept_apart,
     price_of,
 )  # fmt: skip
+from shape_obs.slots.passages import Lying, Passages, better, change_of_headings, lying_of, moved
 from shape_obs.tracker import Moment, Tracker
 from shape_obs.tracking.exchanges import meetings
 from shape_obs.tracking.prediction import Fit
@@ -46,7 +47,7 @@ _PATIENCE: Final = 10  # frames between two searches for objects that do not com
 #: The compiled functions that slots may call.
 SLOT_FUNCTIONS: Final = (
     share_pixels, split_components, owned_runs, draw_components, nearest_distances, bending_energy, sharp_turns,
-    side_distances, meetings, middle_width,
+    side_distances, meetings, middle_width, change_of_headings,
 )  # fmt: skip
 _NOTHING: Final = "no other object was found in the mask"
 
@@ -67,41 +68,47 @@ class Slots:
         self.spec, self.more = spec, 0
         self.trackers = [Tracker(slot, config) for slot in spec.slots()]
         self._wait, self._doubt_before, self._bared = 0, 0.0, False
+        self._passages, self._lying = Passages(), list[Lying | None]()
 
     def attempt(self, region: Region, moment: Moment, scene: Scene) -> list[Attempt | None]:
-        """Fit each slot to its part of a mask; None for a slot without one. The tracks stay as they are."""
+        """Fit each slot to its part of a mask; None for a slot without one.
+
+        The tracks stay as they are, unless two of them turn out to have been exchanged.
+        """
         if region.refusal:
             return [Attempt(Fit(reason=region.refusal), region, None)] * len(self.trackers)
         if self._bared:  # the last search found connectors
             region = self.spec.bare(region)[0]
-        expected = [tracker.foresee(region, moment) for tracker in self.trackers]
-        tracks = [tracker.track for tracker in self.trackers]
-        ahead, last = ([each and in_image(each.nodes, scene) for each in row] for row in (expected, tracks))
-        seen = Seen(region, moment, scene, tracks, expected, ahead, last)
-        if not self.spec.is_ribbon or not any(expected):
+        seen = self._seen(region, moment, scene)
+        if not self.spec.is_ribbon or not any(seen.expected):
             return self._search(seen, [None] * len(self.trackers))
-        tries, met = self._follow(seen, ahead, EXPECTED)
+        tries, met = self._follow(seen, seen.ahead, EXPECTED)
         doubt = doubt_of(seen, tries, apart=not met)
         if met and (doubt > 0 or changes_of_sides(seen, tries)):
             # Ropes that run into each other stop; where they are expected, they may have changed places.
-            both = zip(last, ahead, strict=True)
+            both = zip(seen.last, seen.ahead, strict=True)
             halfway = [None if at is None or to is None else (at + to) / 2 for at, to in both]
-            ways = [tries, *(self._follow(seen, nodes, WIDE)[0] for nodes in (last, halfway))]
+            ways = [tries, *(self._follow(seen, nodes, WIDE)[0] for nodes in (seen.last, halfway))]
             doubts = [doubt, *(doubt_of(seen, each) for each in ways[1:])]
             best = int(np.argmin([price_of(seen, *each) for each in zip(ways, doubts, strict=True)]))
             tries, doubt = ways[best], doubts[best]
         if doubt > 0 and self._looks_again(doubt):
             found = self._search(seen, tries)
-            if price_of(seen, found, doubt_of(seen, found)) < price_of(seen, tries, doubt):
-                return found
-            self._wait = _PATIENCE
-        return tries
+            doubt_found = doubt_of(seen, found)
+            if price_of(seen, found, doubt_found) < price_of(seen, tries, doubt):
+                tries, doubt = found, doubt_found
+            else:
+                self._wait = _PATIENCE
+        return self._exchanged(seen, tries, doubt, met)
 
     def accept(self, tries: list[Attempt | None], moment: Moment, scene: Scene) -> list[Shape]:
         """Advance the tracks to what was found, and return the shape of each slot.
 
         With ``count="all"`` slots that hold nothing are left out.
         """
+        widths = [each.found.object_width for each in tries if each is not None and each.is_found]
+        if widths and self._lying:
+            self._passages.add(self._lying, median(widths))
         shapes = []
         for tracker, each in zip(self.trackers, tries, strict=True):
             if each is None:
@@ -111,6 +118,36 @@ class Slots:
             if each is not None or tracker.is_held(moment) or self.spec.count != "all":
                 shapes.append(tracker.finish(found, moment))
         return shapes
+
+    def _seen(self, region: Region, moment: Moment, scene: Scene) -> Seen:
+        """Return a frame, with where the tracks are and go."""
+        expected = [tracker.foresee(region, moment) for tracker in self.trackers]
+        tracks = [tracker.track for tracker in self.trackers]
+        ahead, last = ([each and in_image(each.nodes, scene) for each in row] for row in (expected, tracks))
+        return Seen(region, moment, scene, tracks, expected, ahead, last)
+
+    def _exchanged(self, seen: Seen, tries: list[Attempt | None], doubt: float, met: list[int]) -> list[Attempt | None]:
+        """Return better fits, with tracks exchanged, if ropes have changed places where they lay over each other."""
+        self._lying = lying_of(seen, tries, met)
+        for pair, strange in self._passages.doubtful(self._lying).items():
+            trackers = [self.trackers[k] for k in pair]
+            tracks, before = [seen.tracks[k] for k in pair], [self._passages.before(k) for k in pair]
+            for tracker, own, other, lay in zip(trackers, tracks, tracks[::-1], before, strict=True):
+                if own is not None and other is not None and lay is not None:
+                    tracker.track = moved(own, other, lay)
+            now = self._seen(seen.region, seen.moment, seen.scene)
+            again, meet = self._follow(now, now.ahead, EXPECTED)
+            ways = [again, self._search(now, again)]
+            doubts = [doubt_of(now, each, apart=not meet) for each in ways]
+            best = int(np.argmin(doubts))
+            lying = lying_of(now, ways[best], met)
+            if better(self._passages.strangeness(lying, pair), doubts[best], strange, doubt):
+                seen, tries, doubt, self._lying = now, ways[best], doubts[best], lying
+            else:
+                self._passages.refuse(pair, strange)
+                for tracker, track in zip(trackers, tracks, strict=True):
+                    tracker.track = track
+        return tries
 
     def _follow(self, seen: Seen, nodes: list[Array | None], how: Reach) -> tuple[list[Attempt | None], list[int]]:
         """Fit the slots that have a track to the parts of the mask around their nodes; return which ribbons met."""
@@ -157,7 +194,9 @@ class Slots:
             0.0 if each is None else _KEPT * width if each.stale else far * min(each.lapse, _LAPSE)
             for each in seen.expected
         ]
-        seats = seat_tracked(objects, seen.ahead, reach)
+        known = [None if track is None else track.hints.length for track in seen.tracks]
+        lengths = [each.pixels if each is not None and each.frames > 0 else math.inf for each in known]
+        seats = seat_tracked(objects, seen.ahead, reach, lengths)
         free = [k for k, each in enumerate(seen.expected) if each is None or each.stale]
         targets = [tracker.target(seen.moment) for tracker in self.trackers]
         kept = near_tracks(objects, seen.ahead, _KEPT * width) if objects else ()

@@ -31,6 +31,11 @@ _TREMOR: Final = 0.1  # of the bending energy times the width, from frame to fra
 _OTHERS: Final = 1.0
 _TAKEN: Final = 0.15
 _COVERED: Final = 0.5
+# A rope of which more than this share is hidden is another one's if so many of its points lie nearer to that one than
+# so many widths.
+_HIDDEN: Final = 0.03
+_CLAIMED: Final = 0.7
+_SAME: Final = 0.5
 _TURN: Final = 3.0  # squares of a width that a sharp turn counts as
 
 
@@ -66,6 +71,23 @@ def doubt_where_they_meet(
     if taken_over(seen, own, lost, margin) > _TAKEN or taken_over(seen, own, found, margin) > _COVERED:
         return "what was found lies where another rope was"
     return "what was found turns sharply where ropes meet" if doubtful_turns(form, width) else ""
+
+
+def claims_the_same(form: FittedCurve, other: FittedCurve, width: float) -> bool:
+    """Return whether a rope, of which a part is hidden, was found where another one is that is seen better.
+
+    Args:
+        form: What was found, in pixels.
+        other: The other rope.
+        width: Of the ropes, pixels.
+    """
+    hidden = form.unsupported_fraction
+    if hidden <= max(_HIDDEN, other.unsupported_fraction):
+        return False
+    seen = np.ascontiguousarray(form.points[~form.interpolated][::4])
+    if not len(seen):
+        return False
+    return bool(np.mean(nearest_distances(seen, np.ascontiguousarray(other.points)) < _SAME * width) > _CLAIMED)
 
 
 def folds_anew(curve: FittedCurve, observed: Observed, width: float) -> bool:

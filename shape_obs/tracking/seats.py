@@ -18,9 +18,15 @@ Array = npt.NDArray[np.float64]
 _COMPARED: Final = 48  # points of a curve
 # What is missing of a track counts less than what an object has more: a part of it may be hidden.
 _MISSING: Final = 0.3
+_LONGER: Final = 1.05  # of the length that is known: more is no noise
 
 
-def seat_tracked(objects: Sequence[SceneObject], tracks: Sequence[Array | None], reach: Sequence[float]) -> list[int]:
+def seat_tracked(
+    objects: Sequence[SceneObject],
+    tracks: Sequence[Array | None],
+    reach: Sequence[float],
+    lengths: Sequence[float],
+) -> list[int]:
     """Return the object of each slot that has a track, -1 for the others: those that are nearest overall.
 
     The assignment of H. W. Kuhn, "The Hungarian Method for the Assignment Problem", 1955.
@@ -29,13 +35,18 @@ def seat_tracked(objects: Sequence[SceneObject], tracks: Sequence[Array | None],
         objects: What was found in this frame.
         tracks: ``(K, 2)`` pixels each, where the object of a slot should be; None for a slot without a track.
         reach: Pixels, for each slot: an object that lies farther from its track on average is another one.
+        lengths: Pixels, for each slot: what is clearly longer than the object was is another one; inf if unknown.
     """
     seats, known = [-1] * len(tracks), [k for k, nodes in enumerate(tracks) if nodes is not None]
     if not known or not objects:
         return seats
     cost = np.array([[_apart(each.curve.points, tracks[k]) for each in objects] for k in known])
-    for row, at in zip(*linear_sum_assignment(np.minimum(cost, 10 * max(reach))), strict=True):
-        if cost[row, at] <= reach[known[row]]:
+    sizes = np.array([each.curve.size for each in objects])
+    cost += np.array([np.maximum(sizes - _LONGER * lengths[k], 0.0) for k in known])
+    within = cost <= np.array([[reach[k]] for k in known])
+    # A slot without an object costs the same whichever it is, so that what was lost for long takes no other one's.
+    for row, at in zip(*linear_sum_assignment(np.where(within, cost, max(reach))), strict=True):
+        if within[row, at]:
             seats[known[row]] = int(at)
     return seats
 
