@@ -75,6 +75,7 @@ class Slots:
 
         The tracks stay as they are, unless two of them turn out to have been exchanged.
         """
+        self._lying = []
         if region.refusal:
             return [Attempt(Fit(reason=region.refusal), region, None)] * len(self.trackers)
         if self._bared:  # the last search found connectors
