@@ -12,7 +12,7 @@ from shape_obs.bench.rope_identity_claims import rope_tracks
     [
         ("crossing", 15, 100),  # a tip passes over another tip: each is expected up to its end
         ("crossing", 46, 90),
-        ("crossing", 32, 108),  # two ropes pass over each other, nearly parallel: their bends say which is which
+        ("crossing", 32, 108),  # two ropes pass over each other, nearly parallel
         ("crossing", 50, 122),
         ("touching", 30, 120),  # side by side, with tips that the other rope could take over: lengths are kept
         ("touching", 31, 60),
