@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import Length
+from shape_obs.geometry.polyline import interpolate, laid_over
 from shape_obs.slots.attempts import Attempt, Seen, in_image
 from shape_obs.tracking.prediction import Track
 from shape_obs.tracking.scene_doubt import nearest_distances
@@ -166,15 +167,9 @@ def moved(own: Track, other: Track, before: Lying) -> Track:
 def _laid_onto(own: Array, other: Array) -> Array:
     """Return ``(K, D)`` nodes of a rope in its own shape, laid onto another rope without being turned round."""
     if (other[-1] - other[0]) @ (own[-1] - own[0]) < 0:
-        other = other[::-1]
-    at = np.linspace(0, len(other) - 1, len(own))
-    every = np.arange(len(other))
-    target = np.stack([np.interp(at, every, other[:, axis]) for axis in range(own.shape[1])], axis=1)
-    # The rigid motion of least squares (W. Kabsch, Acta Crystallographica A32, 1976).
-    shape, place = own - own.mean(axis=0), target - target.mean(axis=0)
-    left, _, right = np.linalg.svd(shape.T @ place)
-    left[:, -1] *= np.sign(np.linalg.det(left @ right))  # no reflection
-    return np.ascontiguousarray(shape @ left @ right + target.mean(axis=0))
+        other = np.ascontiguousarray(other[::-1])
+    target = interpolate(other, np.arange(float(len(other))), np.linspace(0.0, len(other) - 1.0, len(own)))
+    return np.ascontiguousarray(laid_over(own, target, own, scaled=False)[0])
 
 
 def _apart(one: Array, other: Array, far: float) -> float:
