@@ -78,8 +78,8 @@ class Slots:
         self._lying = []
         if region.refusal:
             return [Attempt(Fit(reason=region.refusal), region, None)] * len(self.trackers)
-        if self._bared:  # the last search found connectors
-            region = self.spec.bare(region)[0]
+        if self._bared:  # there were connectors
+            region, self._bared = self.spec.bare(region)
         seen = self._seen(region, moment, scene)
         if not self.spec.is_ribbon or not any(seen.expected):
             return self._search(seen, [None] * len(self.trackers))
@@ -185,7 +185,8 @@ class Slots:
 
     def _search(self, seen: Seen, earlier: list[Attempt | None]) -> list[Attempt | None]:
         """Find all objects of the mask, and fit each slot to its own."""
-        tries, (region, self._bared) = list(earlier), self.spec.bare(seen.region)
+        tries, (region, bared) = list(earlier), self.spec.bare(seen.region)
+        self._bared |= bared  # what has none any more had some before
         every, reason = self.spec.find_objects(region, seen.moment.frame.rgb)
         objects = every[:MOST]  # the largest: pixels are shared among no more
         width = median(each.width for each in objects) if objects else 0.0

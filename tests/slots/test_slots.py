@@ -214,6 +214,20 @@ def test_a_rope_that_was_hidden_comes_back_to_its_slot_while_another_stays():
     np.testing.assert_allclose(detection["centerline1"].points2d[0], DOWN[0], atol=5)
 
 
+def test_a_rope_without_a_slot_next_to_a_connector_is_not_searched_for_in_each_frame(monkeypatch):
+    find, searches = Centerline.find_objects, []
+    monkeypatch.setattr(Centerline, "find_objects", lambda *arguments: searches.append(1) or find(*arguments))
+    mask = drawn([(40, 60), (130, 60), (220, 60)], [(40, 120), (130, 120), (220, 120)])
+    cv2.rectangle(mask, (220, 45), (250, 75), 255, -1)
+    more = np.maximum(mask, drawn([(40, 200), (130, 200), (220, 200)]))
+    detector = ShapeDetector([Centerline(n=20, count=2, ends="tips")])
+    for frame in range(24):
+        detection = detector.detect_mask(np.roll(mask if frame < 4 else more, frame % 3, axis=1))
+        assert detection.ok
+        assert max(detection["centerline0"].points2d[:, 0]) < 224  # the connector is cut off in all frames
+    assert 2 <= len(searches) <= 6
+
+
 def test_a_rope_that_enters_takes_a_slot_that_was_never_used():
     detector = ShapeDetector([Centerline(n=10, count=3, ends="tips")], max_age=0.2)
     frames = [(UP, DOWN)] * 3 + [(DOWN,)] * 12 + [(LEVEL, DOWN)] * 2 + [(UP, LEVEL, DOWN)] * 2
