@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.image.segmentation import HUES, HSVRange
+from shape_obs.image.segmentation import HUES, HSVRange, Segmentation
 
 _PATCH: Final = 3
 _COLOURFUL: Final = 60  # saturation from which hue means something
@@ -73,3 +75,41 @@ def _component_at(rule: npt.NDArray[np.bool_], u: int, v: int) -> npt.NDArray[np
     square = np.ones((3, 3), np.uint8)
     labels = np.asarray(cv2.connectedComponents(cv2.morphologyEx(rule.view(np.uint8), cv2.MORPH_CLOSE, square))[1])
     return (labels == labels[v, u]) & rule if labels[v, u] else rule
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A segmentation that fits clicks on an image.
+
+    Attributes:
+        rule: The pixel rule, with its clean-up.
+        mask: ``(H, W)`` bool, the object that was clicked in this image.
+        text: What was found, in plain words.
+    """
+
+    rule: Segmentation
+    mask: npt.NDArray[np.bool_]
+    text: str
+
+
+def propose_segmentation(
+    rgb: npt.NDArray[np.uint8],
+    picks: Sequence[tuple[float, float]],
+    nots: Sequence[tuple[float, float]] = (),
+    depth: npt.NDArray[Any] | None = None,
+) -> Proposal:
+    """Propose the segmentation of the object under some pixels.
+
+    Args:
+        rgb: ``(H, W, 3)`` uint8, RGB.
+        picks: (u, v) on the object, at least one.
+        nots: (u, v) that are not on the object.
+        depth: ``(H, W)``, as a ``Frame`` takes it, aligned to rgb.
+
+    Raises:
+        ValueError: A pixel lies outside the image, or no rule separates the object from its surroundings.
+    """
+    rule = propose_hsv(rgb, picks[0])
+    u, v = round(picks[0][0]), round(picks[0][1])
+    mask = _component_at(rule.matches(rgb) > 0, u, v)
+    return Proposal(rule, mask, f"{np.count_nonzero(mask)} pixels have the colour of ({u}, {v}).")
