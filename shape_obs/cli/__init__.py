@@ -14,7 +14,7 @@ from importlib import import_module
 from typing import Final
 
 from shape_obs import __version__
-from shape_obs.utils.errors import did_you_mean
+from shape_obs.utils.errors import UsageError, did_you_mean
 
 COMMANDS: Final = {
     "demo": "run an episode of the simulated cable and draw what the camera sees",
@@ -36,7 +36,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Run a command and exit.
 
     The exit code is 0 on success, 1 with one line on stderr after an error, 2 after wrong usage, and 128 plus the
-    signal's number after a signal, as shells expect.
+    signal's number after a signal, as shells expect. Usage is wrong if the command line alone shows it, whatever the
+    files, cameras and robots are like.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     if not arguments or arguments[0] in ("-h", "--help"):
@@ -59,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     except (ValueError, TypeError, OSError, ImportError) as error:
         message = " ".join(str(error).split()) or type(error).__name__
         print(f"shape-obs {command}: {message}", file=sys.stderr)
-        sys.exit(1)
+        sys.exit(2 if isinstance(error, UsageError) else 1)
     except KeyboardInterrupt as interrupt:
         print(f"shape-obs {command}: {str(interrupt) or 'interrupted'}", file=sys.stderr)
         sys.exit(128 + getattr(interrupt, "signum", signal.SIGINT))
@@ -76,7 +77,7 @@ def run_part(command: str, noun: str, parts: Mapping[str, str], argv: Sequence[s
         argv: The subcommand and its arguments.
 
     Raises:
-        ValueError: There is no such subcommand.
+        UsageError: There is no such subcommand.
     """
     if not argv or argv[0] in ("-h", "--help"):
         width = max(map(len, parts))
@@ -85,7 +86,7 @@ def run_part(command: str, noun: str, parts: Mapping[str, str], argv: Sequence[s
         return 0
     name, *rest = argv
     if name not in parts:
-        raise ValueError(f"unknown {noun} {name!r}{did_you_mean(name, parts)}")
+        raise UsageError(f"unknown {noun} {name!r}{did_you_mean(name, parts)}")
     return int(import_module(f"shape_obs.cli.{command}.{name}").main(rest))
 
 

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import tyro
-
 from shape_obs.cli.options import warnings_as_lines
-from shape_obs.utils.errors import did_you_mean
+from shape_obs.cli.parsing import Option, parse
+from shape_obs.utils.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -29,29 +28,31 @@ class Arguments:
     if a run failed.
     """
 
-    config: Annotated[Path, tyro.conf.Positional]
+    config: Annotated[Path, Option("STUDY", positional=True, existing="file of a study")]
     """A YAML file that describes the study."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    out: Annotated[Path, Option("FOLDER", "output", "-o")]
     """Folder for the runs and the results."""
-    jobs: int | None = None
+    jobs: Annotated[int | None, Option("N", "processing", least=1)] = None
     """Number of parallel runs: processes, default 1; with Ray, cores of the cluster that is started here."""
-    engine: Literal["local", "ray"] = "local"
+    engine: Annotated[Literal["local", "ray"], Option(group="processing")] = "local"
     """Run in processes of this machine, or on a Ray cluster."""
-    address: str | None = None
+    address: Annotated[str | None, Option("ADDRESS", "processing")] = None
     """Address of a Ray cluster: auto or ray://HOST:10001; default: start one on this machine."""
-    only: tuple[str, ...] = ()
+    only: Annotated[tuple[str, ...], Option("ARM ...", "study")] = ()
     """Run only these arms."""
-    seeds: tuple[int, ...] = ()
+    seeds: Annotated[tuple[int, ...], Option("N ...", "study", least=0)] = ()
     """Seeds; replaces those of the config."""
-    table_only: bool = False
+    table_only: Annotated[bool, Option(group="output")] = False
     """Run nothing; make the table and the pictures from finished runs."""
-    json: bool = False
+    json: Annotated[bool, Option(group="output")] = False
     """Print the summary as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = tyro.cli(Arguments, args=list(argv), prog="shape-obs ablate")
+    args = parse(Arguments, argv, "shape-obs ablate")
+    if args.address is not None and args.engine != "ray":
+        raise UsageError("--address: only for a Ray cluster; give --engine ray too.")
     from shape_obs.ablation import load_study
     from shape_obs.ablation.report import need_matplotlib
     from shape_obs.utils.files import make_folder
@@ -61,8 +62,6 @@ def main(argv: Sequence[str]) -> int:
     for name in args.only:
         if name not in study.arms:
             raise ValueError(f"--only: {args.config} has no arm {name!r}{did_you_mean(name, study.arms)}")
-    if args.address is not None and args.engine != "ray":
-        raise ValueError("--address: only for a Ray cluster; give --engine ray too.")
     if min(args.seeds, default=0) < 0 or max(args.seeds, default=0) >= study.evaluation.seed:
         raise ValueError(f"--seeds: expected 0 ... {study.evaluation.seed - 1}, got {list(args.seeds)}.")
     make_folder(args.out)
