@@ -30,6 +30,7 @@ COMMANDS: Final = {
     "calibrate": "measure a camera's intrinsics, and its pose in the robot's base frame",
     "bench": "measure accuracy, time and quality",
 }
+_GROUPS: Final = ("calibrate", "bench")  # commands with subcommands
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -50,6 +51,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     if command not in COMMANDS:
         print(f"shape-obs: unknown command {command!r}{did_you_mean(command, COMMANDS)}", file=sys.stderr)
         sys.exit(2)
+    prog = " ".join(["shape-obs", command, *rest[:1]] if command in _GROUPS else ["shape-obs", command])
     try:
         status = import_module(f"shape_obs.cli.{command.replace('-', '_')}").main(rest)
         sys.stdout.flush()
@@ -59,10 +61,10 @@ def main(argv: Sequence[str] | None = None) -> None:
         sys.exit(1)
     except (ValueError, TypeError, OSError, ImportError) as error:
         message = " ".join(str(error).split()) or type(error).__name__
-        print(f"shape-obs {command}: {message}", file=sys.stderr)
+        print(f"{prog}: {message}", file=sys.stderr)
         sys.exit(2 if isinstance(error, UsageError) else 1)
     except KeyboardInterrupt as interrupt:
-        print(f"shape-obs {command}: {str(interrupt) or 'interrupted'}", file=sys.stderr)
+        print(f"{prog}: {str(interrupt) or 'interrupted'}", file=sys.stderr)
         sys.exit(128 + getattr(interrupt, "signum", signal.SIGINT))
     sys.exit(status)
 

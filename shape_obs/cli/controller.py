@@ -7,7 +7,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-from shape_obs.cli.options import RobotArguments, make_bare_env, make_env, make_robot, read_config, read_settings
+from shape_obs.cli.options import (
+    RobotArguments,
+    check_name,
+    make_bare_env,
+    make_env,
+    make_robot,
+    read_config,
+    read_settings,
+)
 from shape_obs.cli.parsing import Option, wrong_usage
 from shape_obs.utils.documents import make_named
 from shape_obs.utils.errors import UsageError
@@ -28,10 +36,10 @@ class ControllerArguments(RobotArguments):
     trust: Annotated[bool, Option(group="controller")] = False
     """Load a trained policy that contains code: one of an earlier version, or one with its own classes. Use this only
     if you trust the author of the file."""
-    controller: Annotated[str | None, Option("MODULE:CLASS", "controller")] = None
+    controller: Annotated[str | None, Option("MODULE:CLASS", "controller", check=check_name)] = None
     """A controller instead of a policy, as module:Class with act(observation); shape_obs.deploy has Still, Sway and
     Script. Default: Still."""
-    controller_set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "controller")] = ()
+    controller_set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "controller", check=read_settings)] = ()
     """KEY=VALUE: arguments of the controller's class, such as share=0.2."""
     goal: Annotated[str | None, Option("FILE|robot", "controller")] = None
     """A goal file, as `shape-obs goal` writes it; the goal becomes part of the observation. With 'robot', a simulated
@@ -66,6 +74,25 @@ class Deployment:
     threshold: float
 
 
+def check_controller(args: ControllerArguments) -> None:
+    """Reject options that do not go together, before anything slow is imported.
+
+    Raises:
+        UsageError: They do not; the message says which.
+        FileNotFoundError: There is no such goal file.
+    """
+    if args.robot is None:
+        raise UsageError("--robot module:Class is needed; shape_obs_envs.robots:NullRobot moves nothing.")
+    if args.bundle is not None and args.controller is not None:
+        raise UsageError(f"expected a trained policy or --controller, got both: {args.bundle} and {args.controller}.")
+    if args.bundle is not None and args.controller_set:
+        raise UsageError("--controller-set: a trained policy takes no arguments; leave it out.")
+    if args.trust and args.bundle is None:
+        raise UsageError("--trust: only for a trained policy, and none is given; leave it out.")
+    if args.goal not in (None, _ROBOT) and not Path(str(args.goal)).is_file():
+        raise FileNotFoundError(f"{args.goal}: no such goal file")
+
+
 def make_deployment(args: ControllerArguments, **options: Any) -> Deployment:
     """Make the controller, the robot and the environment; nothing is connected yet.
 
@@ -74,9 +101,8 @@ def make_deployment(args: ControllerArguments, **options: Any) -> Deployment:
         options: Further arguments of the environment ``ShapeObs/D455-v0``.
 
     Raises:
-        UsageError: Some of the options do not go together; the message says which.
+        UsageError: A value is invalid, or the policy needs a goal.
     """
-    _check(args)
     from shape_obs.cli.episodes import RobotGoals, StartFirst
     from shape_obs.deploy import DryRobot
     from shape_obs.wrappers import ShapeGoal, Target
@@ -107,18 +133,6 @@ def make_deployment(args: ControllerArguments, **options: Any) -> Deployment:
     if args.goal == _ROBOT:
         env = RobotGoals(env, own)
     return Deployment(controller, env, robot, args, _CENTIMETRE if bundle is None else bundle.success_threshold)
-
-
-def _check(args: ControllerArguments) -> None:
-    """Reject options that do not go together, before anything slow is imported."""
-    if args.robot is None:
-        raise UsageError("--robot module:Class is needed; shape_obs_envs.robots:NullRobot moves nothing.")
-    if args.bundle is not None and args.controller is not None:
-        raise UsageError(f"expected a trained policy or --controller, got both: {args.bundle} and {args.controller}.")
-    if args.bundle is not None and args.controller_set:
-        raise UsageError("--controller-set: a trained policy takes no arguments; leave it out.")
-    if args.trust and args.bundle is None:
-        raise UsageError("--trust: only for a trained policy, and none is given; leave it out.")
 
 
 def _load(path: Path, trust: bool) -> Any:

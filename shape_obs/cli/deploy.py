@@ -10,7 +10,7 @@ from math import inf
 from pathlib import Path
 from typing import Annotated, Any
 
-from shape_obs.cli.controller import ControllerArguments, Deployment, make_deployment
+from shape_obs.cli.controller import ControllerArguments, Deployment, check_controller, make_deployment
 from shape_obs.cli.options import RATE, warnings_as_lines
 from shape_obs.cli.parsing import Option, parse
 from shape_obs.utils.errors import UsageError
@@ -56,6 +56,7 @@ class Arguments(ControllerArguments):
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
     args = parse(Arguments, argv, "shape-obs deploy")
+    check_controller(args)
     box = _box(args)
     from threadpoolctl import threadpool_limits
 

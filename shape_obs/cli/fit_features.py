@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
-from shape_obs.cli.options import open_named, warnings_as_lines
+from shape_obs.cli.options import open_named, read_settings, warnings_as_lines
 from shape_obs.cli.parsing import Option, parse, wrong_usage
 from shape_obs.utils.documents import parse_yaml
 from shape_obs.utils.errors import UsageError, did_you_mean
@@ -56,7 +56,7 @@ class Arguments:
     """A file with the pose of the camera in the base frame; replaces the recorded pose."""
     frames: Annotated[int | None, Option("N", "source", least=1)] = None
     """Largest number of frames from each source."""
-    set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source")] = ()
+    set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
     """KEY=VALUE ...: arguments of the sources."""
     json: Annotated[bool, Option(group="output")] = False
     """Print the summary as JSON."""
@@ -112,6 +112,9 @@ def main(argv: Sequence[str]) -> int:
         raise UsageError(
             f"{recordings[0]} is not a table (.npz, .parquet, .csv): give --config FILE to find shapes in it."
         )
+    for source in args.source:
+        if source not in recordings and not Path(source).is_file():
+            raise FileNotFoundError(f"{source}: no such file.")
     from shape_obs.features.coordinates import Coordinates
 
     with wrong_usage():

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from shape_obs.cli.options import RobotArguments, make_env, make_robot, warnings_as_lines
+from shape_obs.cli.options import NEEDS_CONFIG, RobotArguments, make_env, make_robot, warnings_as_lines
 from shape_obs.cli.parsing import Option, parse
+from shape_obs.utils.errors import UsageError
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,8 @@ class Arguments(RobotArguments):
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
     args = parse(Arguments, argv, "shape-obs goal")
+    if args.robot is None and args.config is None:
+        raise UsageError(NEEDS_CONFIG)
     from shape_obs.drawing import draw_detection
     from shape_obs.utils.arrays import write_image
 

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 RATE: Final = 30.0
 #: ``shape_obs.markers.DICTIONARY``, repeated here because ``--help`` must not import OpenCV.
 DICTIONARY: Final = "4x4_50"
+NEEDS_CONFIG: Final = (
+    "--config FILE is needed: it describes how the object looks. `shape-obs detect IMAGE --pick u,v` writes one."
+)
 
 _LOG_LEVEL_ERROR: Final = 2  # of OpenCV
 
@@ -47,8 +50,11 @@ def open_named(
     options |= read_settings(settings)
     from shape_obs_envs.sources import open_source
 
-    with wrong_usage():
-        return open_source(text, extrinsics=extrinsics, **options)
+    try:
+        with wrong_usage():
+            return open_source(text, extrinsics=extrinsics, **options)
+    except TypeError as error:
+        raise UsageError(f"--set: {error}") from error
 
 
 def read_settings(settings: Sequence[str], option: str = "--set") -> dict[str, Any]:
@@ -69,6 +75,27 @@ def read_settings(settings: Sequence[str], option: str = "--set") -> dict[str, A
         with wrong_usage():
             values[name] = parse_yaml(value, f"{option} {setting[:60]}")
     return values
+
+
+def check_source(text: str, option: str = "--source") -> None:
+    """Report a file that does not exist before the libraries are imported that would read it.
+
+    Raises:
+        FileNotFoundError: ``text`` is the name of a file, and there is none.
+    """
+    if ":" not in text and Path(text).suffix and not Path(text).exists():
+        raise FileNotFoundError(f"{text}: no such file.")
+
+
+def check_name(text: str, option: str) -> None:
+    """Check that ``text`` has the form ``module:Class``, before the module is imported.
+
+    Raises:
+        UsageError: It has another form.
+    """
+    module, _, name = text.partition(":")
+    if not module or not name:
+        raise UsageError(f"{option}: expected module:Class, such as my_lab.arm:Arm, got {text!r}.")
 
 
 @contextmanager
@@ -96,14 +123,14 @@ def warnings_as_lines(prog: str) -> Iterator[None]:
 class RobotArguments:
     """Options that describe a camera, a robot and the object to look for."""
 
-    source: Annotated[str, Option("SOURCE", "source")] = "d455"
+    source: Annotated[str, Option("SOURCE", "source", check=check_source)] = "d455"
     """Source of the images: d455, d455:SERIAL, FILE.db3, FILE.bag, a recorded folder, the id of an environment, or
     'robot' for the robot's own camera."""
-    robot: Annotated[str | None, Option("MODULE:CLASS", "robot")] = None
+    robot: Annotated[str | None, Option("MODULE:CLASS", "robot", check=check_name)] = None
     """The robot, as module:Class."""
-    set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source")] = ()
+    set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
     """KEY=VALUE: further arguments of the source, such as exposure=100."""
-    robot_set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "robot")] = ()
+    robot_set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "robot", check=read_settings)] = ()
     """KEY=VALUE: arguments of the robot's class, such as address=10.0.0.2."""
     config: Annotated[Path | None, Option("FILE", "detection", existing="config file")] = None
     """A YAML config file, as `shape-obs detect` writes it for a picked pixel; default: the robot's own config."""
@@ -185,10 +212,7 @@ def read_config(args: RobotArguments, robot: Any) -> dict[str, Any]:
     from shape_obs.config.config_file import load_config
 
     if args.config is None and not getattr(robot, "shape_obs_defaults", None):
-        raise UsageError(
-            "--config FILE is needed: it describes how the object looks. `shape-obs detect IMAGE --pick u,v` writes "
-            "one."
-        )
+        raise UsageError(NEEDS_CONFIG)
     config = {} if args.config is None else load_config(args.config)
     if config.get("on_invalid") == "nan":  # the detector's default, which saved files contain; no policy reads NaN
         del config["on_invalid"]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 import shutil
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, Field, dataclass, field, fields, make_dataclass
 from pathlib import Path
@@ -38,6 +38,7 @@ class Option:
         existing: What the file is called by the error that reports that there is none, such as ``"config file"``.
             Empty: the file need not exist.
         positional: Whether the value is given without the name of the option.
+        check: Called with the value and the name of the option; raises an error if the value is not well-formed.
     """
 
     metavar: str | None = None
@@ -48,8 +49,9 @@ class Option:
     above: float | None = None
     existing: str = ""
     positional: bool = False
+    check: Callable[[Any, str], object] | None = None
 
-    def check(self, name: str, value: Any) -> None:
+    def verify(self, name: str, value: Any) -> None:
         """Check a value that the user gave.
 
         Args:
@@ -60,6 +62,8 @@ class Option:
             UsageError: It is out of range.
             FileNotFoundError: There is no such file.
         """
+        if self.check is not None and value is not None:
+            self.check(value, name)
         for each in value if isinstance(value, tuple) else (value,):
             if each is None:
                 continue
@@ -111,7 +115,7 @@ def parse(arguments: type[T], argv: Sequence[str], prog: str) -> T:
         value, option = values[each.name], options[each.name]
         if value == () and _is_required(each):  # tyro accepts an empty list of positional arguments
             raise UsageError(f"expected at least one {(option.metavar or each.name).split()[0]}.")
-        option.check(option.metavar or each.name if option.positional else "--" + each.name.replace("_", "-"), value)
+        option.verify(option.metavar or each.name if option.positional else "--" + each.name.replace("_", "-"), value)
     return arguments(**values)
 
 
@@ -120,8 +124,6 @@ def wrong_usage() -> Iterator[None]:
     """Turn a ValueError of the library, about values that are all from the command line, into a UsageError."""
     try:
         yield
-    except OSError:
-        raise
     except ValueError as error:
         raise UsageError(str(error)) from error
 

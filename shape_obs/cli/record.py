@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from shape_obs.cli.options import open_named, warnings_as_lines
+from shape_obs.cli.options import check_source, open_named, read_settings, warnings_as_lines
 from shape_obs.cli.parsing import Option, parse
 from shape_obs.utils.errors import UsageError
 
@@ -27,7 +27,7 @@ class Arguments:
     source failed.
     """
 
-    source: Annotated[str, Option("SOURCE", "source")]
+    source: Annotated[str, Option("SOURCE", "source", check=check_source)]
     """d455[:serial], FILE.db3, FILE.bag, a folder, a video file, or the id of an environment."""
     out: Annotated[Path, Option("PATH", "output", "-o")]
     """A new or empty folder, or FILE.db3 for librealsense's own format (cameras only)."""
@@ -39,7 +39,7 @@ class Arguments:
     """A file with the pose of the camera in the base frame; it is stored in the recording."""
     depth: Annotated[Literal["auto", "yes", "no"], Option(group="source")] = "auto"
     """'auto' records depth if the source has it, 'yes' requires it, 'no' leaves it out."""
-    set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source")] = ()
+    set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
     """KEY=VALUE ...: arguments of the source, such as exposure=0.01, or seed=1 actions=random for an environment."""
     json: Annotated[bool, Option(group="output")] = False
     """Print the summary as JSON."""

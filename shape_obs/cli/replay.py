@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from shape_obs.cli.options import open_named, warnings_as_lines
+from shape_obs.cli.options import check_source, open_named, read_settings, warnings_as_lines
 from shape_obs.cli.parsing import Option, parse
 from shape_obs.utils.errors import UsageError
 
@@ -26,7 +26,7 @@ class Arguments:
     The exit code is 0 if every frame was processed, even if its shape was not found.
     """
 
-    recording: Annotated[str, Option("RECORDING", positional=True)]
+    recording: Annotated[str, Option("RECORDING", positional=True, check=check_source)]
     """A folder, FILE.db3, FILE.bag or a video file; or, with --frames, d455[:serial] or the id of an environment."""
     config: Annotated[Path | None, Option("FILE", "detection", existing="config file")] = None
     """A YAML config file; needed unless --verify is given."""
@@ -42,7 +42,7 @@ class Arguments:
     """Largest number of frames."""
     extrinsics: Annotated[Path | None, Option("FILE", "source", existing="file of extrinsics")] = None
     """A file with the pose of the camera in the base frame; replaces the recorded pose."""
-    set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source")] = ()
+    set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
     """KEY=VALUE ...: arguments of the source."""
     verify: Annotated[bool, Option(group="source")] = False
     """First check every frame against its checksum, and list all damaged frames."""

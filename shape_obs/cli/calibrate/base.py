@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from shape_obs.cli.options import DICTIONARY, open_named, warnings_as_lines
+from shape_obs.cli.options import DICTIONARY, check_source, open_named, read_settings, warnings_as_lines
 from shape_obs.cli.parsing import Option, parse
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ class Arguments:
     --max-rms, or if one of them does not agree with the others.
     """
 
-    source: Annotated[str, Option("SOURCE", "source")]
+    source: Annotated[str, Option("SOURCE", "source", check=check_source)]
     """d455[:serial], FILE.db3, FILE.bag, a folder, a video file, or the id of an environment."""
     touches: Annotated[Path | None, Option("FILE", "touch", existing="file of touches")] = None
     """A CSV file with the header marker,corner,x,y,z, or a JSON list of such objects; metres, base frame."""
@@ -44,7 +44,7 @@ class Arguments:
     """Leave out touches that do not agree with the others, instead of writing nothing."""
     max_age_days: Annotated[float, Option("DAYS", "output", above=0)] = 30.0
     """Number of days after which a warning says that the pose is old."""
-    set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source")] = ()
+    set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
     """KEY=VALUE ...: arguments of the source, such as exposure=0.01."""
     json: Annotated[bool, Option(group="output")] = False
     """Print the result as JSON."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from shape_obs.cli.markers import board_from
-from shape_obs.cli.options import DICTIONARY, open_named, warnings_as_lines
+from shape_obs.cli.options import DICTIONARY, check_source, open_named, read_settings, warnings_as_lines
 from shape_obs.cli.parsing import Option, parse
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ class Arguments:
     in each pose. The exit code is 1 if the camera's own intrinsics are doubtful.
     """
 
-    source: Annotated[str, Option("SOURCE", "source")]
+    source: Annotated[str, Option("SOURCE", "source", check=check_source)]
     """d455[:serial], FILE.db3, FILE.bag, a folder, a video file, or the id of an environment."""
     out: Annotated[Path, Option("FILE", "output", "-o")] = Path("intrinsics.json")
     """File for the result."""
@@ -41,7 +41,7 @@ class Arguments:
     """Columns, rows, side of a square and of a marker in mm; default: 7 5 36 27, as `shape-obs markers --charuco`."""
     dictionary: Annotated[str, Option("NAME", "marker")] = DICTIONARY
     """Marker dictionary of the board."""
-    set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source")] = ()
+    set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
     """KEY=VALUE ...: arguments of the source, such as exposure=0.01."""
     json: Annotated[bool, Option(group="output")] = False
     """Print the result as JSON."""
