@@ -37,8 +37,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Run a command and exit.
 
     The exit code is 0 on success, 1 with one line on stderr after an error, 2 after wrong usage, and 128 plus the
-    signal's number after a signal, as shells expect. Usage is wrong if the command line alone shows it, whatever the
-    files, cameras and robots are like.
+    signal's number after a signal, as shells expect. A file that is missing or damaged is an error, not wrong usage.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     if not arguments or arguments[0] in ("-h", "--help"):

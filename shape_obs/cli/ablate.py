@@ -61,9 +61,9 @@ def main(argv: Sequence[str]) -> int:
     study = load_study(args.config)
     for name in args.only:
         if name not in study.arms:
-            raise ValueError(f"--only: {args.config} has no arm {name!r}{did_you_mean(name, study.arms)}")
+            raise UsageError(f"--only: {args.config} has no arm {name!r}{did_you_mean(name, study.arms)}")
     if min(args.seeds, default=0) < 0 or max(args.seeds, default=0) >= study.evaluation.seed:
-        raise ValueError(f"--seeds: expected 0 ... {study.evaluation.seed - 1}, got {list(args.seeds)}.")
+        raise UsageError(f"--seeds: expected 0 ... {study.evaluation.seed - 1}, got {list(args.seeds)}.")
     make_folder(args.out)
     failed = [] if args.table_only else _run(args, study)
     result = _results(args, study)

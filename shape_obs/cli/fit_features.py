@@ -267,5 +267,5 @@ def _note(hashes: dict[str, Any], *new: str | None) -> None:
 
 def _chosen(name: str | None, known: Sequence[str], where: str) -> str:
     if name is not None and name not in known:
-        raise ValueError(f"--name: {where} has no shape {name!r}{did_you_mean(name, known)}")
+        raise UsageError(f"--name: {where} has no shape {name!r}{did_you_mean(name, known)}")
     return name or known[0]

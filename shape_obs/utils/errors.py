@@ -12,7 +12,7 @@ class SpecError(ValueError):
 
 
 class UsageError(ValueError):
-    """A command line that is wrong whatever the files, cameras and robots are like; ``shape-obs`` exits with 2."""
+    """A command line that is wrong: an argument is missing, unknown or out of range. ``shape-obs`` exits with 2."""
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:

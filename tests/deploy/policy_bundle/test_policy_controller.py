@@ -157,7 +157,7 @@ def test_a_bundle_that_runs_code_needs_trust(capsys, path, tmp_path):
     assert code == 1
     assert "Load it with trust=True (--trust on the command line) only if you trust who made the file" in err
     code, _, err = run(capsys, tmp_path / "own.policy", "--trust", *CELL)
-    assert code == 1
+    assert code == 2
     assert "give --goal FILE, or --goal robot if the robot is simulated" in err
     code, _, err = run(capsys, "--trust", *CELL)
     assert "--trust: only for a trained policy, and none is given" in err
