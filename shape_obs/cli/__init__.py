@@ -20,14 +20,14 @@ COMMANDS: Final = {
     "demo": "run an episode of the simulated cable and draw what the camera sees",
     "detect": "find the shape in image files",
     "record": "record frames from a camera, a file or an environment",
-    "replay": "find the shape in every frame of a recording, and export it",
+    "replay": "find the shape in every frame of a recording",
     "extract": "find the shapes in many recordings, as a Parquet dataset",
     "fit-features": "fit principal components to recorded shapes",
     "goal": "record the shape that the camera sees now as a goal",
     "ablate": "train with different observations, and compare the results",
     "deploy": "run a policy or a controller on a robot, from the camera alone",
     "markers": "draw markers or a calibration board to print",
-    "calibrate": "measure a camera's intrinsics, and its pose in the robot's base frame",
+    "calibrate": "measure a camera's intrinsics, and its pose in the base frame",
     "bench": "measure accuracy, time and quality",
 }
 _GROUPS: Final = ("calibrate", "bench")  # commands with subcommands

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from shape_obs.ablation import Study
     from shape_obs.ablation.executors import Engine, Outcome
+    from shape_obs.ablation.results import FinishedRun
 
 
 @dataclass(frozen=True)
@@ -119,8 +120,34 @@ def _results(args: Arguments, study: Study) -> dict[str, Any]:
         raise ValueError(f"{args.out}: no run of this study is finished.")
     summary = summarize(study, runs)
     files = [write_results(runs, args.out), write_table(study, summary, args.out), *draw(study, summary, args.out)]
-    return {"arms": summary_to_dict(summary), "table": markdown(study, summary), "files": [str(path) for path in files]}
+    result = {"arms": summary_to_dict(summary), "table": markdown(study, summary), "files": list(map(str, files))}
+    return result if args.table_only else {**result, **_best_policy(args, study, runs)}
+
+
+def _best_policy(args: Arguments, study: Study, runs: Sequence[FinishedRun]) -> dict[str, str]:
+    """Return the file of the best policy that can run with a camera, and the command that runs it; empty if none can.
+
+    The best has the smallest final distance from the goals, as the mean of its last evaluation.
+    """
+    from shape_obs.ablation.executors import POLICY
+    from shape_obs.ablation.results import RunFolder
+    from shape_obs.deploy.policy_bundle import BundleError, deploy_command
+
+    def error(run: FinishedRun) -> float:
+        difficulties = study.evaluation.difficulties
+        return sum(run.final_mm(difficulty) for difficulty in difficulties) / len(difficulties)
+
+    for run in sorted(runs, key=error):
+        path = RunFolder(args.out, run.arm, run.seed).path / POLICY
+        try:
+            return {"policy": str(path), "next": deploy_command(path)}
+        except (BundleError, FileNotFoundError):  # it reads the simulator's state; its file was removed
+            continue
+    return {}
 
 
 def _text(result: dict[str, Any]) -> str:
-    return "\n".join([result["table"], "", *(f"wrote {path}" for path in result["files"])])
+    lines = [result["table"], "", *(f"wrote {path}" for path in result["files"])]
+    if "policy" in result:
+        lines += [f"best policy: {result['policy']}", "try it on a simulated robot:", f"  {result['next']}"]
+    return "\n".join(lines)

@@ -55,8 +55,7 @@ class Arguments(ControllerArguments):
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = parse(Arguments, argv, "shape-obs deploy")
-    check_controller(args)
+    args = parse(Arguments, argv, "shape-obs deploy", check_controller)
     box = _box(args)
     from threadpoolctl import threadpool_limits
 

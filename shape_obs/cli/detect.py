@@ -61,8 +61,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = parse(Arguments, argv, "shape-obs detect")
-    _check(args)
+    args = parse(Arguments, argv, "shape-obs detect", _check)
     from shape_obs.detector import ShapeDetector
     from shape_obs.utils.files import make_folder
 

@@ -43,8 +43,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = parse(Arguments, argv, "shape-obs markers")
-    _check(args)
+    args = parse(Arguments, argv, "shape-obs markers", _check)
     from shape_obs.markers.sheet import PER_MM, board_page, marker_pages, write_pages
 
     if args.charuco:

@@ -51,7 +51,7 @@ class Option:
     positional: bool = False
     check: Callable[[Any, str], object] | None = None
 
-    def verify(self, name: str, value: Any) -> None:
+    def check_value(self, name: str, value: Any) -> None:
         """Check a value that the user gave.
 
         Args:
@@ -60,17 +60,19 @@ class Option:
 
         Raises:
             UsageError: It is out of range.
-            FileNotFoundError: There is no such file.
         """
         if self.check is not None and value is not None:
             self.check(value, name)
         for each in value if isinstance(value, tuple) else (value,):
             if each is None:
                 continue
-            if self.existing and not Path(each).is_file():
-                raise FileNotFoundError(f"{each}: no such {self.existing}")
             if isinstance(each, (int, float)) and not self._holds(each):
                 raise UsageError(f"{name}: expected {self._range()}, got {each}.")
+
+    def check_file(self, path: Path | None) -> None:
+        """Raise FileNotFoundError if the file must exist and does not."""
+        if self.existing and path is not None and not path.is_file():
+            raise FileNotFoundError(f"{path}: no such {self.existing}")
 
     def _holds(self, value: float) -> bool:
         return (
@@ -87,8 +89,8 @@ class Option:
         return f"at least {self.least:g}" if self.least is not None else f"at most {self.most:g}"
 
 
-def parse(arguments: type[T], argv: Sequence[str], prog: str) -> T:
-    """Return the arguments that ``argv`` gives, after checking the ranges of their values.
+def parse(arguments: type[T], argv: Sequence[str], prog: str, check: Callable[[T], object] = lambda args: None) -> T:
+    """Return the arguments that ``argv`` gives, after checking them: their values, how they combine, their files.
 
     ``--help`` and wrong usage end the process, with exit code 0 and 2.
 
@@ -96,6 +98,7 @@ def parse(arguments: type[T], argv: Sequence[str], prog: str) -> T:
         arguments: A dataclass whose fields have an :class:`Option` in their annotation.
         argv: The words after the command.
         prog: The command, such as ``"shape-obs detect"``.
+        check: Raises UsageError for arguments that do not go together.
 
     Raises:
         UsageError: A value is out of range, or a list that needs a value is empty.
@@ -115,8 +118,14 @@ def parse(arguments: type[T], argv: Sequence[str], prog: str) -> T:
         value, option = values[each.name], options[each.name]
         if value == () and _is_required(each):  # tyro accepts an empty list of positional arguments
             raise UsageError(f"expected at least one {(option.metavar or each.name).split()[0]}.")
-        option.verify(option.metavar or each.name if option.positional else "--" + each.name.replace("_", "-"), value)
-    return arguments(**values)
+        option.check_value(
+            option.metavar or each.name if option.positional else "--" + each.name.replace("_", "-"), value
+        )
+    args = arguments(**values)
+    check(args)
+    for name, option in options.items():
+        option.check_file(values[name])
+    return args
 
 
 @contextmanager

@@ -127,7 +127,7 @@ class TestCommand:
             paths = [tmp_path / f"{name}.npz" for name in sources]
             code, text, err = self.command(capsys, *paths, "-o", tmp_path / "o.npz", *extra)
             lines = [line for line in err.split("\r")[-1].splitlines() if line.strip()]
-            assert (code, text) == (1, ""), (sources, extra)
+            assert (code, text) == (2 if "--name" in extra else 1, ""), (sources, extra)
             assert len(lines) == 1
             assert lines[0].startswith("shape-obs fit-features: ")
             assert message in lines[0]

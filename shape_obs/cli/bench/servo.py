@@ -77,7 +77,7 @@ class Servo:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return its exit code: 1 if an episode broke off."""
-    args = parse(Servo, argv, "shape-obs bench servo")
+    args = parse(Servo, argv, "shape-obs bench servo", _check)
     from shape_obs.bench.interleaved_timing import machine
 
     settings = _settings(args)
@@ -89,6 +89,20 @@ def main(argv: Sequence[str]) -> int:
     return 1 if broken else 0
 
 
+def _check(args: Servo) -> None:
+    """Reject options that do not go together, before a measurement is imported."""
+    if args.paired and not {"camera", "truth"} <= set(args.sources):
+        raise UsageError(f"--paired: needs --sources camera truth, got {' '.join(args.sources)}.")
+    if args.view is not None and set(args.envs) != {"Hanging"}:
+        raise UsageError(f"--view: only Hanging has views, got --envs {' '.join(args.envs)}.")
+    if args.rope is not None and set(args.envs) != {"Cables"}:
+        raise UsageError(f"--rope: only Cables has ropes, got --envs {' '.join(args.envs)}.")
+    if args.blackout is not None and sum(args.blackout) > args.steps:
+        raise UsageError(f"--blackout: {args.blackout[1]} frames from {args.blackout[0]} on end after --steps.")
+    for size in args.sizes:
+        image_size(size, 16)
+
+
 def _settings(args: Servo) -> list[Setting]:
     """Return the settings of the study; every mistake in the options is reported before anything runs."""
     from shape_obs.bench.servo.settings import Disturbance, combinations, missing
@@ -98,25 +112,16 @@ def _settings(args: Servo) -> list[Setting]:
     for law in args.laws:
         if law not in LAWS:
             raise UsageError(f"--laws: unknown law {law!r}{did_you_mean(law, LAWS)}")
-    if args.paired and not {"camera", "truth"} <= set(args.sources):
-        raise UsageError(f"--paired: needs --sources camera truth, got {' '.join(args.sources)}.")
-    if args.view is not None and set(args.envs) != {"Hanging"}:
-        raise UsageError(f"--view: only Hanging has views, got --envs {' '.join(args.envs)}.")
-    if args.rope is not None and set(args.envs) != {"Cables"}:
-        raise UsageError(f"--rope: only Cables has ropes, got --envs {' '.join(args.envs)}.")
     wrong = Disturbance(args.invalid, args.blackout)
     with wrong_usage():
         wrong.check()
-    if wrong.blackout is not None and sum(wrong.blackout) > args.steps:
-        raise UsageError(f"--blackout: {wrong.blackout[1]} frames from {wrong.blackout[0]} on end after --steps.")
     if "study" in args.only and args.figures:
         need_matplotlib()
-    for size in args.sizes:
-        image_size(size, 16)
     pca = None if args.pca is None else str(args.pca.resolve())
-    found = combinations(
-        args.envs, args.features, args.laws, args.difficulties, args.sources, args.sizes, wrong, args.renderer, pca
-    )
+    with wrong_usage():
+        found = combinations(
+            args.envs, args.features, args.laws, args.difficulties, args.sources, args.sizes, wrong, args.renderer, pca
+        )
     found = [each._replace(view=args.view, rope=args.rope) for each in found]
     settings, without = list(dict.fromkeys(found)), ", ".join(missing(args.envs, args.features))
     if without and not args.json:
