@@ -17,7 +17,7 @@ from shape_obs import __version__
 from shape_obs.utils.errors import UsageError, did_you_mean
 
 COMMANDS: Final = {
-    "demo": "run an episode of the simulated cable and draw what the camera sees",
+    "demo": "run an episode of the simulated cable and draw the points",
     "detect": "find the shape in image files",
     "record": "record frames from a camera, a file or an environment",
     "replay": "find the shape in every frame of a recording",

@@ -40,7 +40,7 @@ class ControllerArguments(RobotArguments):
     """A controller instead of a policy, as module:Class with act(observation); shape_obs.deploy has Still, Sway and
     Script. Default: Still."""
     controller_set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "controller", check=read_settings)] = ()
-    """KEY=VALUE: arguments of the controller's class, such as share=0.2."""
+    """Arguments of the controller's class, such as share=0.2."""
     goal: Annotated[str | None, Option("FILE|robot", "controller")] = None
     """A goal file, as `shape-obs goal` writes it; the goal becomes part of the observation. With 'robot', a simulated
     robot provides a goal that it can reach, a new one for each episode."""

@@ -37,7 +37,7 @@ class Arguments:
     hsv: Annotated[_Bounds | None, Option("H S V H S V", "object", least=0, most=255)] = None
     """The object's colour: low h s v, high h s v (h 0...179, s and v 0...255; red wraps around: 170 ... 10 ...)."""
     pick: Annotated[str | None, Option("U,V", "object")] = None
-    """u,v: a pixel on the object in the first image. Proposes an HSV range and writes it to --save-config."""
+    """A pixel on the object in the first image. Proposes an HSV range and writes it to --save-config."""
     shape: Annotated[Literal["centerline", "contour", "surface"] | None, Option(group="shape")] = None
     """Form of the object: 'centerline' for ropes and cables, 'contour' for outlines, 'surface' for cloth. Default: the
     shapes of the config, or 'centerline'."""

@@ -57,7 +57,7 @@ class Arguments:
     frames: Annotated[int | None, Option("N", "source", least=1)] = None
     """Largest number of frames from each source."""
     set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
-    """KEY=VALUE ...: arguments of the sources."""
+    """Arguments of the sources."""
     json: Annotated[bool, Option(group="output")] = False
     """Print the summary as JSON."""
 

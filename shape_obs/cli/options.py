@@ -129,9 +129,9 @@ class RobotArguments:
     robot: Annotated[str | None, Option("MODULE:CLASS", "robot", check=check_name)] = None
     """The robot, as module:Class."""
     set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
-    """KEY=VALUE: further arguments of the source, such as exposure=100."""
+    """Further arguments of the source, such as exposure=100."""
     robot_set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "robot", check=read_settings)] = ()
-    """KEY=VALUE: arguments of the robot's class, such as address=10.0.0.2."""
+    """Arguments of the robot's class, such as address=10.0.0.2."""
     config: Annotated[Path | None, Option("FILE", "detection", existing="config file")] = None
     """A YAML config file, as `shape-obs detect` writes it for a picked pixel; default: the robot's own config."""
     extrinsics: Annotated[Path | None, Option("FILE", "source", existing="file of extrinsics")] = None

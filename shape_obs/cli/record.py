@@ -29,7 +29,7 @@ class Arguments:
 
     source: Annotated[str, Option("SOURCE", "source", check=check_source)]
     """d455[:serial], FILE.db3, FILE.bag, a folder, a video file, or the id of an environment."""
-    out: Annotated[Path, Option("PATH", "output", "-o")]
+    out: Annotated[Path, Option("RECORDING", "output", "-o")]
     """A new or empty folder, or FILE.db3 for librealsense's own format (cameras only)."""
     frames: Annotated[int | None, Option("N", "length", least=1)] = None
     """Number of frames; default: until the source ends or Ctrl-C."""
@@ -40,7 +40,7 @@ class Arguments:
     depth: Annotated[Literal["auto", "yes", "no"], Option(group="source")] = "auto"
     """'auto' records depth if the source has it, 'yes' requires it, 'no' leaves it out."""
     set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
-    """KEY=VALUE ...: arguments of the source, such as exposure=0.01, or seed=1 actions=random for an environment."""
+    """Arguments of the source, such as exposure=0.01, or seed=1 actions=random for an environment."""
     json: Annotated[bool, Option(group="output")] = False
     """Print the summary as JSON."""
 

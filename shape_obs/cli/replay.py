@@ -43,7 +43,7 @@ class Arguments:
     extrinsics: Annotated[Path | None, Option("FILE", "source", existing="file of extrinsics")] = None
     """A file with the pose of the camera in the base frame; replaces the recorded pose."""
     set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
-    """KEY=VALUE ...: arguments of the source."""
+    """Arguments of the source."""
     verify: Annotated[bool, Option(group="source")] = False
     """First check every frame against its checksum, and list all damaged frames."""
     json: Annotated[bool, Option(group="output")] = False

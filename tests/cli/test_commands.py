@@ -191,3 +191,40 @@ def test_every_command_has_help(command):
     assert done.returncode == 0
     assert "usage" in done.stdout.lower()
     assert done.stderr == ""
+
+
+def towel(folder):
+    """Draw a blue rectangle with its corners at (60, 50) and (260, 190)."""
+    rgb = np.full((240, 320, 3), (190, 185, 180), np.uint8)
+    rgb[50:191, 60:261] = BLUE
+    cv2.imwrite(str(folder / "towel.png"), rgb[..., ::-1])
+    return folder / "towel.png"
+
+
+def test_a_surface_has_rows_and_columns(tmp_path, capsys):
+    options = ["--shape", "surface", "--n", "3x5", "--ends", "tips", "--out", tmp_path / "o"]
+    code, out, _ = run(capsys, "detect", towel(tmp_path), *HSV, *options)
+    points = np.array(json.loads(out)["shapes"][0]["points2d"])
+    assert code == 0
+    assert points.shape == (15, 2)
+    lattice = points.reshape(3, 5, 2)
+    assert np.allclose(lattice[0, 0], (60, 50), atol=2)
+    assert np.allclose(lattice[-1, -1], (260, 190), atol=2)
+    assert np.allclose(lattice[1, :, 0], np.linspace(60, 260, 5), atol=3)
+
+
+def test_an_outline_has_a_number_of_points_and_the_config_keeps_it(tmp_path, capsys):
+    photo, config = towel(tmp_path), tmp_path / "c.yaml"
+    options = ["--shape", "contour", "--n", "16", "--save-config", config, "--out", tmp_path / "o"]
+    code, out, _ = run(capsys, "detect", photo, "--pick", "150,120", *options)
+    drawn = json.loads(out)["shapes"][0]
+    assert code == 0
+    assert drawn["name"] == "contour"
+    assert len(drawn["points2d"]) == 16
+    _, out, _ = run(capsys, "detect", photo, "--config", config, "--out", tmp_path / "o")
+    assert json.loads(out)["shapes"][0]["points2d"] == drawn["points2d"]
+    code, _, err = run(capsys, "detect", photo, "--config", config, "--n", "4x4", "--out", tmp_path / "o")
+    assert code == 2
+    assert "a contour has one number of points" in err
+    code, out, _ = run(capsys, "detect", photo, "--config", config, "--shape", "surface", "--out", tmp_path / "o")
+    assert json.loads(out)["shapes"][0]["name"] == "surface"

@@ -45,7 +45,7 @@ class Arguments:
     max_age_days: Annotated[float, Option("DAYS", "output", above=0)] = 30.0
     """Number of days after which a warning says that the pose is old."""
     set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
-    """KEY=VALUE ...: arguments of the source, such as exposure=0.01."""
+    """Arguments of the source, such as exposure=0.01."""
     json: Annotated[bool, Option(group="output")] = False
     """Print the result as JSON."""
 

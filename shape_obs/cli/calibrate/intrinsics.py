@@ -42,7 +42,7 @@ class Arguments:
     dictionary: Annotated[str, Option("NAME", "marker")] = DICTIONARY
     """Marker dictionary of the board."""
     set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
-    """KEY=VALUE ...: arguments of the source, such as exposure=0.01."""
+    """Arguments of the source, such as exposure=0.01."""
     json: Annotated[bool, Option(group="output")] = False
     """Print the result as JSON."""
 
