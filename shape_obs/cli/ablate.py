@@ -125,9 +125,10 @@ def _results(args: Arguments, study: Study) -> dict[str, Any]:
 
 
 def _best_policy(args: Arguments, study: Study, runs: Sequence[FinishedRun]) -> dict[str, str]:
-    """Return the file of the best policy that can run with a camera, and the command that runs it; empty if none can.
+    """Return the file of the best policy and the command that runs it on the simulated robot.
 
-    The best has the smallest final distance from the goals, as the mean of its last evaluation.
+    The best has the smallest final distance from the goals, as the mean of its last evaluation. Policies that can run
+    with a camera come first; if there is none, ``"next"`` is the reason.
     """
     from shape_obs.ablation.executors import POLICY
     from shape_obs.ablation.results import RunFolder
@@ -137,17 +138,20 @@ def _best_policy(args: Arguments, study: Study, runs: Sequence[FinishedRun]) -> 
         difficulties = study.evaluation.difficulties
         return sum(run.final_mm(difficulty) for difficulty in difficulties) / len(difficulties)
 
+    best: dict[str, str] = {}
     for run in sorted(runs, key=error):
         path = RunFolder(args.out, run.arm, run.seed).path / POLICY
         try:
             return {"policy": str(path), "next": deploy_command(path)}
-        except (BundleError, FileNotFoundError):  # it reads the simulator's state; its file was removed
+        except BundleError as problem:  # it reads the simulator's state
+            best = best or {"policy": str(path), "next": f"it is for simulation only: {problem}"}
+        except FileNotFoundError:  # removed by the user
             continue
-    return {}
+    return best
 
 
 def _text(result: dict[str, Any]) -> str:
     lines = [result["table"], "", *(f"wrote {path}" for path in result["files"])]
     if "policy" in result:
-        lines += [f"best policy: {result['policy']}", "try it on a simulated robot:", f"  {result['next']}"]
+        lines += [f"best policy: {result['policy']}", f"next: {result['next']}"]
     return "\n".join(lines)
