@@ -127,7 +127,7 @@ class RobotArguments:
     """Source of the images: d455, d455:SERIAL, FILE.db3, FILE.bag, a recorded folder, the id of an environment, or
     'robot' for the robot's own camera."""
     robot: Annotated[str | None, Option("MODULE:CLASS", "robot", check=check_name)] = None
-    """The robot, as module:Class."""
+    """The robot's class; shape_obs_envs.robots:SimulatedRobot needs no hardware, NullRobot moves nothing."""
     set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
     """Further arguments of the source, such as exposure=100."""
     robot_set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "robot", check=read_settings)] = ()
