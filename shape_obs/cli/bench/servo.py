@@ -122,7 +122,7 @@ def _settings(args: Servo) -> list[Setting]:
         found = combinations(
             args.envs, args.features, args.laws, args.difficulties, args.sources, args.sizes, wrong, args.renderer, pca
         )
-    found = [each._replace(view=args.view, rope=args.rope) for each in found]
+        found = [each._replace(view=args.view, rope=args.rope) for each in found]
     settings, without = list(dict.fromkeys(found)), ", ".join(missing(args.envs, args.features))
     if without and not args.json:
         print(f"there are no {without}: left out")
