@@ -215,7 +215,8 @@ class WebcamSource(Source):
         asked = self._mode["width"] or width, self._mode["height"] or height
         if asked != (width, height):
             raise SourceError(
-                f"{self.name} has no {asked[0]:g} x {asked[1]:g} pixels; the nearest is {width} x {height}: ask for that."
+                f"{self.name} has no {asked[0]:g} x {asked[1]:g} pixels; the nearest is {width} x {height}: ask for "
+                "that."
             )
         if self._rectification is not None and self._rectification.output.size != (height, width):
             lens = self._rectification.output

@@ -59,7 +59,8 @@ def read_colour(message: Any) -> npt.NDArray[np.uint8]:
     if hasattr(message, "format"):
         image = np.asarray(decode_image(message.data.tobytes(), cv2.IMREAD_COLOR, "a compressed image"), np.uint8)
         # The encoder compresses BGR, unless its format says otherwise.
-        return image if "compressed rgb" in message.format else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+        in_rgb = "compressed rgb" in message.format
+        return image if in_rgb else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
     encoding = message.encoding
     if encoding in _GRAYS:
         return np.asarray(cv2.cvtColor(_pixels(message, 1, np.uint8), cv2.COLOR_GRAY2RGB), np.uint8)

@@ -40,7 +40,8 @@ def read_lens(message: Any, size: tuple[int, int], rectified: bool, topic: str) 
     roi = message.roi
     if max(message.binning_x, message.binning_y) > 1 or roi.x_offset or roi.y_offset:
         raise BadRecording(f"{topic}: binning and regions of interest are not supported; record the whole image.")
-    pinhole = Intrinsics(size[1], size[0], *(float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2))))
+    fx, fy, cx, cy = (float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    pinhole = Intrinsics(size[1], size[0], fx, fy, cx, cy)
     if rectified or not np.any(message.d):
         return Rectification(pinhole, None)
     model, count = message.distortion_model, len(message.d)

@@ -157,8 +157,8 @@ def _check_depth(bag: Bag, depth: Candidate, colour: Candidate) -> None:
         )
     if depth.frame != colour.frame:
         _warn(
-            f"{bag.path}: {depth.topic} is in the frame {depth.frame!r}, {colour.topic} in {colour.frame!r}; it is taken "
-            "as aligned. If it is not, all points in space are wrong."
+            f"{bag.path}: {depth.topic} is in the frame {depth.frame!r}, {colour.topic} in {colour.frame!r}; it is "
+            "taken as aligned. If it is not, all points in space are wrong."
         )
 
 
