@@ -77,6 +77,8 @@ def open_source(
         if _CLASS.fullmatch(word):
             return _of_class(word, extrinsics, {**mode, **options})
     if path.suffix.lower() in RECORDINGS and path.is_file():
+        if path.with_name(ROSBAG2).is_file():
+            raise BadRecording(f"{path} is part of a rosbag2: give its folder, {path.absolute().parent}.")
         return _realsense(extrinsics, {"recording": path, **mode, **options})
     if mode:
         raise ValueError(

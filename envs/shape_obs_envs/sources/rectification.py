@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import cached_property
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -11,6 +12,8 @@ import numpy.typing as npt
 
 from shape_obs.camera import Intrinsics
 
+#: Fractions of a pixel in OpenCV's fixed-point maps: row x 32 + column.
+_STEPS: Final = 32
 Maps = tuple[npt.NDArray[np.int16], npt.NDArray[np.uint16]]
 
 
@@ -58,7 +61,16 @@ class Rectification:
         """Rectify a depth image of shape ``(H, W)``, aligned to the colour image, without mixing depths."""
         if self.maps is None:
             return image
-        return np.asarray(cv2.remap(image, *self.maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT))
+        nearest = (self._nearest, np.empty(0, np.uint16))
+        return np.asarray(cv2.remap(image, *nearest, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT))
+
+    @cached_property
+    def _nearest(self) -> npt.NDArray[np.int16]:
+        """The nearest pixel of each; ``cv2.remap`` would take the one to the upper left."""
+        assert self.maps is not None
+        whole, fraction = self.maps
+        steps = np.stack([fraction % _STEPS, fraction // _STEPS], axis=-1)
+        return (whole + (steps >= _STEPS // 2)).astype(np.int16)
 
 
 def remap_maps(target: Intrinsics, source: Intrinsics) -> Maps:

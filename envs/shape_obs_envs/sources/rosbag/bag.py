@@ -44,7 +44,7 @@ class Bag:
                 f"ROS bags need the package rosbags: pip install 'shape-obs[ros]'. ({error})", name="rosbags"
             ) from error
         self.path, self._damage = path, _damage()
-        with self._explained("it cannot be opened as a ROS 2 bag"):
+        with self.explained("it cannot be opened as a ROS 2 bag"):
             # Bags of ROS before Iron do not contain the definitions of their messages; those of images never changed.
             reader: AnyReader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             reader.open()
@@ -79,7 +79,7 @@ class Bag:
         """
         reader = self._reader
         connections = [each for each in reader.connections if each.topic in topics]
-        with self._explained("it is damaged"):
+        with self.explained("it is damaged"):
             begin = reader.start_time + round(start / _NANO) if start else None
             for connection, logged, data in reader.messages(connections, start=begin):
                 message: Any = reader.deserialize(data, connection.msgtype)
@@ -92,8 +92,11 @@ class Bag:
         self._reader.close()
 
     @contextmanager
-    def _explained(self, what: str) -> Iterator[None]:
-        """Turn what ``rosbags`` raises on damaged files into ``BadRecording``."""
+    def explained(self, what: str) -> Iterator[None]:
+        """Turn what ``rosbags`` and the readers of its messages raise on damaged files into ``BadRecording``.
+
+        A bag defines its own messages, so in a damaged one they may lack attributes, or have others of their types.
+        """
         try:
             yield
         except (BadRecording, GeneratorExit):

@@ -104,12 +104,13 @@ class RosbagSource(SequenceSource):
             raise BadRecording(f"{self.path}: no such file or folder.")
         bag = Bag(self.path)
         try:
-            topics = choose_topics(bag, *self._wanted)
-            self._lens = None
-            if topics.info is not None:
-                message, colour = bag.first(topics.info), topics.colour
-                self._lens = read_lens(message, colour.size, colour.rectified, f"{self.path}: {topics.info}")
-            self._pairs = self._paired(bag, topics)
+            with bag.explained("it is damaged"):
+                topics = choose_topics(bag, *self._wanted)
+                self._lens = None
+                if topics.info is not None:
+                    message, colour = bag.first(topics.info), topics.colour
+                    self._lens = read_lens(message, colour.size, colour.rectified, f"{self.path}: {topics.info}")
+                self._pairs = self._paired(bag, topics)
         except BadRecording:
             bag.close()
             raise
@@ -143,17 +144,16 @@ class RosbagSource(SequenceSource):
                     f"is {min(self._gaps):.3f} s away. Their clocks differ; --set max_gap=SECONDS allows more."
                 )
             raise EndOfSource(f"{self.path}: end of its {self._read} frames.")
+        assert self._bag is not None
         self._read += 1
         colour, depth = pair
-        try:
+        with self._bag.explained(f"colour image {colour.number}"):
             rgb = read_colour(colour.message)
             metres = None if depth is None else read_depth(depth.message)
             if self._lens is not None and self._lens.output.size == rgb.shape[:2]:
                 rgb = self._lens.colour(rgb)
                 metres = None if metres is None else self._lens.depth(metres)
             return Frame(rgb, metres, self.camera, colour.stamp, time.monotonic(), colour.number)
-        except ValueError as error:
-            raise BadRecording(f"{self.path}: colour image {colour.number}: {error}") from error
 
     def _known_camera(self) -> CameraModel | None:
         return None if self._lens is None else CameraModel(self._lens.output)
