@@ -111,9 +111,12 @@ def _raw(args: Arguments) -> Recorded:
 
 
 def _camera(args: Arguments) -> RGBDSource:
-    if not args.source.lower().startswith("d455"):
+    from shape_obs_envs.sources.opening import is_realsense
+
+    if not is_realsense(args.source):
         raise ValueError(
-            f"{args.out}: only a camera (d455) can be recorded to {args.out.suffix}; give a folder for {args.source}."
+            f"{args.out}: only a RealSense camera can be recorded to {args.out.suffix}; give a folder for "
+            f"{args.source}."
         )
     return open_named(args.source, args.extrinsics, args.set, record_to=args.out)
 

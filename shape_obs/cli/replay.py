@@ -60,7 +60,7 @@ def main(argv: Sequence[str]) -> int:
     arguments = None if args.config is None else load_config(args.config)
     tables = _tables(args)
     with warnings_as_lines("shape-obs replay"), open_named(args.recording, args.extrinsics, args.set) as source:
-        if source.kind in ("d455", "software", "env") and args.frames is None:
+        if (source.live or source.kind == "env") and args.frames is None:
             raise ValueError(f"{source.name} never ends: give --frames N.")
         result: dict[str, Any] = {"source": source.name}
         if args.verify:

@@ -179,7 +179,7 @@ def test_an_interrupted_recording_is_replayed_with_a_word_about_it(place, record
         (["record", "--source", "photos", "-o", "notes.txt/out"], "cannot make the output folder notes.txt/out"),
         (["record", "--source", "rope.avi", "-o", "new", "--depth", "yes"], "rope.avi has no depth to record"),
         (["record", "--source", "photos", "-o", "new", "--seconds", "1"], "its frames have no stamps"),
-        (["record", "--source", "photos", "-o", "new.db3"], "only a camera (d455) can be recorded to .db3"),
+        (["record", "--source", "photos", "-o", "new.db3"], "only a RealSense camera can be recorded to .db3"),
         (["record", "--source", "photos", "-o", "new", "--set", "exposure"], "--set: expected KEY=VALUE"),
         (
             ["record", "--source", "photos", "-o", "new", "--set", "exposure=1"],

@@ -29,7 +29,8 @@ _PAUSE: Final = 0.01
 #: Time in seconds to wait for a driver that does not return.
 _CLOSING: Final = 5.0
 #: Milliseconds after which a stream that does not answer, or stops, counts as gone.
-_STREAM_TIMEOUT: Final = 5000
+_OPEN_TIMEOUT: Final = 5000
+_READ_TIMEOUT: Final = 3000
 _PROPERTIES: Final = {
     "width": cv2.CAP_PROP_FRAME_WIDTH,
     "height": cv2.CAP_PROP_FRAME_HEIGHT,
@@ -184,7 +185,7 @@ class WebcamSource(Source):
 
     def _opened(self) -> cv2.VideoCapture:
         if isinstance(self._device, str) and is_stream(self._device):
-            limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _STREAM_TIMEOUT, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _STREAM_TIMEOUT]
+            limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _OPEN_TIMEOUT, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _READ_TIMEOUT]
             capture = cv2.VideoCapture(self._device, cv2.CAP_FFMPEG, limits)
         elif isinstance(self._device, str) and not Path(self._device).exists():
             raise CameraNotFound(f"{self.name}: there is no {self._device}; {_found()}.")
