@@ -149,8 +149,9 @@ def make_bare_env(args: RobotArguments, robot: Any, **options: Any) -> Any:
     width, height = args.size
     source: Any = args.source
     if source != "robot":
-        # Only a camera can be asked for an image size.
-        mode = {"width": width, "height": height} if source.split(":")[0] == "d455" else {}
+        from shape_obs_envs.sources.opening import takes_size
+
+        mode = {"width": width, "height": height} if takes_size(source) else {}
         source = open_named(source, args.extrinsics, args.set, **mode)
     return gym.make(
         "shape_obs_envs:ShapeObs/D455-v0",
