@@ -158,7 +158,7 @@ def test_an_interrupted_recording_is_replayed_with_a_word_about_it(place, record
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["replay", "none", "--config", "pixels.yaml"], "source 'none' is not a camera, path or environment"),
+        (["replay", "none", "--config", "pixels.yaml"], "source 'none' is not a camera, path, class or environment"),
         (["replay", "no/recording", "--config", "pixels.yaml"], "no/recording: no such file or folder"),
         (["replay", "none.db3", "--config", "pixels.yaml"], "none.db3: no such file"),
         (["replay", "empty", "--config", "pixels.yaml"], "empty: expected a recording"),
