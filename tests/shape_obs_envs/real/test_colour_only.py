@@ -136,10 +136,12 @@ def test_a_webcam_that_disappears_ends_the_episode_and_the_next_reset_connects_a
     env.reset()
     env.step(np.zeros(2))
     camera.close()
+    observation, truncated, info = {}, False, {}
     for _ in range(60):
         observation, _, _, truncated, info = env.step(np.zeros(2))
         if truncated:
             break
+    assert truncated
     assert "no new frame" in info["camera_error"] or "was unplugged" in info["camera_error"]
     assert not observation["rgb"].any()
     assert robot.calls[-1] == "stop"

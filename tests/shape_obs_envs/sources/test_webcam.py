@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import time
+from typing import Any
 
 import cv2
 import numpy as np
@@ -56,7 +57,7 @@ def test_frames_are_rgb_in_order_and_stamped_by_this_machine(camera):
         assert isinstance(source, RGBDSource)
         assert (source.kind, source.live, source.has_depth) == ("webcam", True, False)
         assert (source.intrinsics, source.camera) == (None, None)
-        frames = [source.read(3.0) for _ in range(12)]
+        frames: list[Any] = [source.read(3.0) for _ in range(12)]
     for frame in frames:
         assert frame.rgb is not None
         assert frame.rgb.shape == (*SIZE, 3)
@@ -74,7 +75,7 @@ def test_the_newest_frames_are_kept_while_nobody_reads(camera):
     with WebcamSource(camera.url, buffer=4) as source:
         source.read(3.0)
         time.sleep(0.7)
-        latest = source.read_latest(max_age=0.2)
+        latest: Any = source.read_latest(max_age=0.2)
         assert source.dropped > 10
         assert (camera.number - 1 - number_in(latest)) % 40 <= 2
         queued = [source.read(3.0) for _ in range(3)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from typing import Any
 
 import cv2
 import numpy as np
@@ -33,6 +34,11 @@ def drawn(count: int, dtype: type = np.uint16) -> list:
     return frames
 
 
+def frames_of(source) -> list[Any]:
+    """Return all frames of a source."""
+    return [moment.frame for moment in read_moments(source)]
+
+
 @pytest.fixture(scope="module")
 def frames():
     return drawn(12)
@@ -60,7 +66,7 @@ def test_a_bag_is_read_back_to_the_pixel(storage, dtype, tmp_path):
                 assert (source.intrinsics.fx, source.intrinsics.fy) == K[:2]
                 assert (source.intrinsics.cx, source.intrinsics.cy) == K[2:]
                 assert not source.intrinsics.distorted
-                read = [moment.frame for moment in read_moments(source)]
+                read = frames_of(source)
                 with pytest.raises(EndOfSource, match="end of its 5 frames"):
                     source.read()
             assert [frame.number for frame in read] == list(range(5))
@@ -85,10 +91,9 @@ def test_colour_is_paired_with_the_depth_of_its_moment(frames, tmp_path):
     write_bag(tmp_path / "bag", messages)
     with RosbagSource(tmp_path / "bag") as source:
         assert len(source) == 12
-        read = {moment.frame.number: moment.frame for moment in read_moments(source)}
+        read = {frame.number: frame for frame in frames_of(source)}
     assert sorted(read) == [0, 1, 2, 4, 6, 7, 8, 9, 10, 11]
     for number, frame in read.items():
-        assert number is not None
         assert np.array_equal(frame.depth, frames[number][1])
     with RosbagSource(tmp_path / "bag", max_gap=0.03) as source:
         assert 5 in [moment.frame.number for moment in read_moments(source)]
@@ -108,7 +113,7 @@ def test_messages_without_a_stamp_have_the_time_of_their_recording(frames, tmp_p
     with RosbagSource(tmp_path / "bag") as source:
         assert source.intrinsics is None
         assert not source.has_depth
-        read = [moment.frame for moment in read_moments(source)]
+        read = frames_of(source)
     assert [frame.stamp for frame in read] == pytest.approx([5.0, 5.1, 5.2])
     assert all(np.array_equal(frame.rgb, frames[n][0][..., ::-1]) for n, frame in enumerate(read))
     with RosbagSource(tmp_path / "bag", start=0.15) as source:
@@ -203,7 +208,7 @@ def test_a_bag_without_an_index_is_read(mcap, frames, tmp_path):
     bare = whole[:summary] + whole[-37:-28] + bytes(20) + whole[-8:]
     (tmp_path / "bare.mcap").write_bytes(bare)
     with open_source(tmp_path / "bare.mcap") as source:
-        read = [moment.frame for moment in read_moments(source)]
+        read = frames_of(source)
     assert len(read) == len(frames)
     assert all(np.array_equal(frame.rgb, rgb) for frame, (rgb, _) in zip(read, frames, strict=True))
 
@@ -236,11 +241,12 @@ def test_the_sqlite_file_inside_a_rosbag2_leads_to_its_folder(frames, tmp_path):
 
 
 def test_bad_arguments_are_refused(tmp_path):
-    for arguments, message in (
+    several: Any = (
         ({"depth": True}, "expected a topic, or false"),
         ({"start": -1.0}, "start: expected seconds"),
         ({"colour": "/x"}, r"does not take \['colour'\]"),
-    ):
+    )
+    for arguments, message in several:
         (tmp_path / "x.mcap").write_bytes(b"")
         with pytest.raises(ValueError, match=message):
             open_source(tmp_path / "x.mcap", **arguments)
@@ -281,9 +287,9 @@ def test_replay_record_and_extract_find_the_shape_in_a_bag(capsys, tmp_path):
     code, _, err = run(capsys, "record", "--source", file.parent, "-o", tmp_path / "copy")
     assert code == 0, err
     with open_source(tmp_path / "copy") as source:
-        copied = list(read_moments(source))
+        copied = frames_of(source)
     assert len(copied) == len(frames)
-    assert all(np.array_equal(moment.frame.rgb, rgb) for moment, (rgb, _) in zip(copied, frames, strict=True))
+    assert all(np.array_equal(frame.rgb, rgb) for frame, (rgb, _) in zip(copied, frames, strict=True))
     code, out, err = run(
         capsys, "extract", tmp_path / "bags", "--config", config, "-o", tmp_path / "set", "--jobs", "1", "--json"
     )
