@@ -12,6 +12,7 @@ from shape_obs_envs.sources.opening import open_source as open_source
 
 if TYPE_CHECKING:
     from shape_obs_envs.sources.env import EnvSource as EnvSource
+    from shape_obs_envs.sources.live import LiveSource as LiveSource
     from shape_obs_envs.sources.realsense import RealSenseSource as RealSenseSource
     from shape_obs_envs.sources.realsense import SoftwareD455 as SoftwareD455
     from shape_obs_envs.sources.rosbag import RosbagSource as RosbagSource
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 _HOME: Final = {
     "EnvSource": "env",
     "FolderSource": "sequence",
+    "LiveSource": "live",
     "RealSenseSource": "realsense",
     "RosbagSource": "rosbag",
     "SoftwareD455": "realsense",
