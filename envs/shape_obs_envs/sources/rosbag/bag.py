@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sqlite3
 import struct
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,6 +20,10 @@ COMPRESSED: Final = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO: Final = "sensor_msgs/msg/CameraInfo"
 
 _NANO: Final = 1e-9
+#: The errors of the libraries that ``rosbags`` may read files with.
+_LIBRARIES: Final = (
+    ("apsw", "Error"), ("backports.zstd", "ZstdError"), ("compression.zstd", "ZstdError"), ("zstandard", "ZstdError"),
+)  # fmt: skip
 
 
 class Bag:
@@ -107,7 +113,7 @@ class Bag:
 
 
 def _advice(path: Path, reason: str) -> str:
-    if "magic" in reason or "Truncated" in reason:
+    if any(word in reason for word in ("magic", "Truncated", "unpack requires")):
         return (
             " It is truncated, as after a crash, or not an MCAP file; copy it again, or repair it with "
             f"`mcap recover {path.name} -o repaired.mcap`."
@@ -118,8 +124,7 @@ def _advice(path: Path, reason: str) -> str:
 
 
 def _damage() -> tuple[type[Exception], ...]:
-    """Return what ``rosbags`` and its decompressors raise on files that are truncated or damaged."""
-    import apsw
+    """Return what ``rosbags``, its database and its decompressors raise on files that are truncated or damaged."""
     from rosbags.highlevel import AnyReaderError
     from rosbags.rosbag2 import ReaderError
     from rosbags.serde import SerdeError
@@ -128,14 +133,11 @@ def _damage() -> tuple[type[Exception], ...]:
     # Its parsers of binary records and of YAML leave the errors of Python as they are.
     python = (
         OSError, ValueError, TypeError, LookupError, EOFError, AttributeError, RuntimeError, AssertionError,
-        MemoryError, OverflowError, struct.error,
+        MemoryError, OverflowError, struct.error, sqlite3.Error,
     )  # fmt: skip
-    return (AnyReaderError, ReaderError, SerdeError, TypesysError, apsw.Error, *_zstd_errors(), *python)
-
-
-def _zstd_errors() -> tuple[type[Exception], ...]:
-    try:
-        from compression import zstd  # pyright: ignore[reportMissingImports] - Python 3.14
-    except ImportError:
-        from backports import zstd
-    return (zstd.ZstdError,)
+    # Which libraries it uses depends on its version and on that of Python.
+    loaded = [(sys.modules.get(name), error) for name, error in _LIBRARIES]
+    return (
+        AnyReaderError, ReaderError, SerdeError, TypesysError, *python,
+        *(getattr(module, error) for module, error in loaded if module is not None),
+    )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import array
 import struct
 
 import cv2
@@ -133,3 +134,14 @@ def test_a_message_with_too_few_bytes_is_refused():
     message.data = message.data[:-1]
     with pytest.raises(ValueError, match="needs 1800 bytes in rows of 90; it has 1799 in rows of 90"):
         read_colour(message)
+
+
+def test_messages_of_a_live_node_are_read_too():
+    """``rclpy`` keeps data in an ``array.array``, not in a NumPy array."""
+    for message, read, pixels in (
+        (image(NOISE, "rgb8", 1.0), read_colour, NOISE),
+        (image(MILLIMETRES, "16UC1", 1.0), read_depth, MILLIMETRES),
+        (compressed(cv2.imencode(".png", NOISE[..., ::-1])[1].tobytes(), "png", 1.0), read_colour, NOISE),
+    ):
+        message.data = array.array("B", message.data.tobytes())
+        assert np.array_equal(read(message), pixels)
