@@ -28,7 +28,7 @@ def open_named(text: str, extrinsics: Path | None = None, settings: Sequence[str
     """Make the source that ``--source``, ``--extrinsics`` and ``--set`` describe; it is not connected yet.
 
     Args:
-        text: ``d455[:serial]``, a file, a folder or the id of an environment.
+        text: A camera, a file, a folder, ``module:Class`` or the id of an environment; see ``open_source``.
         extrinsics: A file with the pose of the camera in the base frame.
         settings: ``KEY=VALUE`` arguments of the source's class; values are read as YAML.
         options: Further arguments of the source's class.
@@ -87,8 +87,8 @@ class RobotArguments:
     """Options that describe a camera, a robot and the object to look for."""
 
     source: str = "d455"
-    """Source of the images: d455, d455:SERIAL, FILE.db3, FILE.bag, a recorded folder, the id of an environment, or
-    'robot' for the robot's own camera."""
+    """Source of the images: a camera (d455[:serial], d435, webcam:0, module:Class), a recording (FILE.db3, FILE.mcap, a
+    folder, ...), the id of an environment, or 'robot' for the robot's own camera."""
     robot: str | None = None
     """The robot, as module:Class."""
     set: tuple[str, ...] = ()

@@ -29,9 +29,10 @@ class Arguments:
     """
 
     source: str
-    """d455[:serial], FILE.db3, FILE.bag, a folder, a video file, or the id of an environment."""
+    """A camera (d455[:serial], d435, webcam:0, module:Class), a recording (FILE.db3, FILE.bag, FILE.mcap, a folder, a
+    video file) or the id of an environment."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """A new or empty folder, or FILE.db3 for librealsense's own format (cameras only)."""
+    """A new or empty folder, or FILE.db3 for librealsense's own format (RealSense cameras only)."""
     frames: int | None = None
     """Number of frames; default: until the source ends or Ctrl-C."""
     seconds: float | None = None

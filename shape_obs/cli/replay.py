@@ -27,7 +27,8 @@ class Arguments:
     """
 
     recording: Annotated[str, tyro.conf.Positional]
-    """A folder, FILE.db3, FILE.bag or a video file; or, with --frames, d455[:serial] or the id of an environment."""
+    """A folder, FILE.db3, FILE.bag, FILE.mcap or a video file; or, with --frames, a camera (d455[:serial], webcam:0,
+    module:Class) or the id of an environment."""
     config: Path | None = None
     """A YAML config file; needed unless --verify is given."""
     csv: Path | None = None

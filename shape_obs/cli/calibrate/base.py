@@ -28,7 +28,8 @@ class Arguments:
     """
 
     source: str
-    """d455[:serial], FILE.db3, FILE.bag, a folder, a video file, or the id of an environment."""
+    """A camera (d455[:serial], d435, webcam:0, module:Class), a recording (FILE.db3, FILE.bag, FILE.mcap, a folder, a
+    video file) or the id of an environment."""
     touches: Path | None = None
     """A CSV file with the header marker,corner,x,y,z, or a JSON list of such objects; metres, base frame."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("extrinsics.json")

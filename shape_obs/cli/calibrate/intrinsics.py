@@ -29,7 +29,8 @@ class Arguments:
     """
 
     source: str
-    """d455[:serial], FILE.db3, FILE.bag, a folder, a video file, or the id of an environment."""
+    """A camera (d455[:serial], d435, webcam:0, module:Class), a recording (FILE.db3, FILE.bag, FILE.mcap, a folder, a
+    video file) or the id of an environment."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("intrinsics.json")
     """File for the result."""
     views: int = 20
