@@ -93,11 +93,6 @@ def takes_size(text: str) -> bool:
     return bool(_REALSENSE.fullmatch(text)) or (webcam is not None and "://" not in (webcam["device"] or ""))
 
 
-def is_realsense(text: str) -> bool:
-    """Return whether a string names a RealSense camera on USB."""
-    return bool(_REALSENSE.fullmatch(text))
-
-
 def _recording(word: str, path: Path, extrinsics: Any, options: Mapping[str, Any]) -> RGBDSource:
     """Make a source of a file, a folder or an environment."""
     from shape_obs_envs.sources.env import EnvSource
@@ -156,7 +151,10 @@ def _own_ids() -> list[str]:
 def _realsense(extrinsics: Any, options: Mapping[str, Any]) -> RGBDSource:
     from shape_obs_envs.sources.realsense import RealSenseSource
 
-    return RealSenseSource(extrinsics=extrinsics, **options)
+    try:
+        return RealSenseSource(extrinsics=extrinsics, **options)
+    except TypeError as error:
+        raise ValueError(f"a RealSenseSource does not take {sorted(options)}: {error}") from error
 
 
 def _make(kind: type[Any], what: Any, extrinsics: Any, options: Mapping[str, Any]) -> RGBDSource:
