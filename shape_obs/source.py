@@ -192,7 +192,8 @@ def check_source(source: Any, what: str = "source") -> None:
     if missing:
         raise TypeError(
             f"{what}: expected an object as shape_obs.source.RGBDSource describes it, {name} has no "
-            f"{', '.join(missing)}. A subclass of shape_obs.source.Source inherits camera, __enter__() and __exit__()."
+            f"{', '.join(missing)}. Subclass shape_obs_envs.sources.LiveSource, which has all but "
+            "open(), grab() and close()."
         )
     for method, arguments in (("read", ("timeout", "fresh")), ("read_latest", ("max_age",))):
         taken = inspect.signature(getattr(source, method)).parameters.values()

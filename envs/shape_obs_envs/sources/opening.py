@@ -69,17 +69,17 @@ def open_source(
     mode = {name: value for name, value in (("width", width), ("height", height), ("fps", fps)) if value is not None}
     if not path.exists():
         if camera := _REALSENSE.fullmatch(word):
-            return _realsense(extrinsics, {"model": camera["model"], "serial": camera["serial"], **mode, **options})
+            return _realsense(word, extrinsics, {**mode, **options}, model=camera["model"], serial=camera["serial"])
         if webcam := _WEBCAM.fullmatch(word):
             from shape_obs_envs.sources.webcam import WebcamSource
 
-            return _make(WebcamSource, webcam["device"] or 0, extrinsics, {**mode, **options})
+            return _make(WebcamSource, webcam["device"] or "0", extrinsics, {**mode, **options}, word)
         if _CLASS.fullmatch(word):
             return _of_class(word, extrinsics, {**mode, **options})
     if path.suffix.lower() in RECORDINGS and path.is_file():
         if path.with_name(ROSBAG2).is_file():
             raise BadRecording(f"{path} is part of a rosbag2: give its folder, {path.absolute().parent}.")
-        return _realsense(extrinsics, {"recording": path, **mode, **options})
+        return _realsense(word, extrinsics, {**mode, **options}, recording=path)
     if mode:
         raise ValueError(
             f"{word}: {', '.join(mode)} are settings of a camera; this source has its own size and frame rate."
@@ -148,17 +148,19 @@ def _own_ids() -> list[str]:
     return [name for name in gym.registry if name.startswith(_OWN_IDS) and "Shape-v" not in name]
 
 
-def _realsense(extrinsics: Any, options: Mapping[str, Any]) -> RGBDSource:
+def _realsense(word: str, extrinsics: Any, options: Mapping[str, Any], **own: Any) -> RGBDSource:
     from shape_obs_envs.sources.realsense import RealSenseSource
 
     try:
-        return RealSenseSource(extrinsics=extrinsics, **options)
+        return RealSenseSource(extrinsics=extrinsics, **{**own, **options})
     except TypeError as error:
-        raise ValueError(f"a RealSenseSource does not take {sorted(options)}: {error}") from error
+        raise ValueError(f"{word}: a RealSenseSource does not take {sorted(options)}: {error}") from error
 
 
-def _make(kind: type[Any], what: Any, extrinsics: Any, options: Mapping[str, Any]) -> RGBDSource:
+def _make(
+    kind: type[Any], what: Any, extrinsics: Any, options: Mapping[str, Any], word: str | None = None
+) -> RGBDSource:
     try:
         return kind(what, extrinsics, **options)
     except TypeError as error:
-        raise ValueError(f"{what}: a {kind.__name__} does not take {sorted(options)}: {error}") from error
+        raise ValueError(f"{word or what}: a {kind.__name__} does not take {sorted(options)}: {error}") from error

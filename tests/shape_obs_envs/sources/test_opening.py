@@ -104,7 +104,7 @@ def test_a_class_is_opened_with_its_arguments(module):
             {},
             TypeError,
             r"source their_camera:Half: expected .*RGBDSource .*, Half has no has_depth, intrinsics, camera, "
-            r"read_latest\(\), disconnect\(\), __enter__\(\), __exit__\(\)\. A subclass of shape_obs\.source\.Source",
+            r"read_latest\(\), disconnect\(\), __enter__\(\), __exit__\(\)\. Subclass .*LiveSource",
         ),
         ("Deaf", {}, TypeError, r"Deaf\.read must take the arguments timeout, fresh"),
         ("number", {}, ValueError, "their_camera:number is a int, expected a class or a function"),

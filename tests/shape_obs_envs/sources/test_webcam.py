@@ -180,7 +180,7 @@ def test_frames_are_rectified_with_the_file_of_the_calibration(tmp_path):
         ("webcam:http://a/b", {"width": 640}, ValueError, "a stream has its own size, rate and format"),
         ("webcam:0", {"height": 0}, ValueError, "height: expected more than 0, got 0"),
         ("webcam:0", {"fourcc": "MJPEG"}, ValueError, "fourcc: expected four characters"),
-        ("webcam:0", {"exposure": 0.1}, ValueError, r"a WebcamSource does not take \['exposure'\]"),
+        ("webcam:0", {"exposure": 0.1}, ValueError, r"webcam:0: a WebcamSource does not take \['exposure'\]"),
         ("webcam:0", {"intrinsics": "none.json"}, FileNotFoundError, r"none\.json"),
     ],
 )
