@@ -91,7 +91,8 @@ def _checks(rng: np.random.Generator, size: tuple[int, int], base: Image) -> Ima
     v = (rows * np.cos(angle) - columns * np.sin(angle)) / pitch
     other = np.clip(base + rng.choice([-1, 1]) * rng.uniform(25, 60) + rng.normal(0, 10, 3), 10, 245)
     odd = ((np.floor(u) + np.floor(v)) % 2)[..., None]
-    return ((base * (1 - odd) + other * odd) * (1 + 0.03 * _noise(rng, size, (4, 4)))).astype(np.float32)
+    colours = base * (1 - odd) + other * odd
+    return np.asarray(colours * (1 + 0.03 * _noise(rng, size, (4, 4))), np.float32)
 
 
 def _clutter(rng: np.random.Generator, picture: Image) -> None:
