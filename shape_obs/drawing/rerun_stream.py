@@ -1,0 +1,115 @@
+"""Open a rerun recording stream to a file, to a viewer on this machine, or to one elsewhere."""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final
+from urllib.parse import urlparse
+
+from shape_obs.drawing.rerun_log import import_rerun
+from shape_obs.utils.files import begin_file, finish_file, make_folder
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+#: The target that opens a viewer on this machine.
+VIEWER: Final = "viewer"
+SUFFIX: Final = ".rrd"
+_PORT: Final = 9876  # rerun's own
+_PATIENCE: Final = 15.0  # seconds until a viewer that was started must accept connections
+
+
+def has_display() -> bool:
+    """Return whether a window can be opened: on Linux, whether X11 or Wayland is there."""
+    return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+class RerunStream:
+    """A rerun recording stream as a context manager.
+
+    A file is written completely or not at all: after an error an existing file is unchanged. After Ctrl-C or SIGTERM it
+    holds what was logged up to then. A viewer keeps what it has received. A viewer that is closed ends nothing: what is
+    logged afterwards is discarded.
+
+    Args:
+        target: ``FILE.rrd``, ``"viewer"`` to open a window on this machine, or the address of a running viewer,
+            ``rerun+http://HOST:9876/proxy``.
+        keep: Whether a file is kept after an error too.
+
+    Attributes:
+        recording: The ``rerun.RecordingStream``.
+        path: The file; None for a viewer.
+
+    Raises:
+        ImportError: rerun is not installed; ``pip install 'shape-obs[rerun]'``.
+        ValueError: The target is neither a file named ``*.rrd`` nor an address.
+        OSError: The file cannot be written, or there is no viewer.
+    """
+
+    def __init__(self, target: str | Path, *, keep: bool = False) -> None:
+        rr = import_rerun()
+        text = str(target)
+        self.path = Path(text) if text.endswith(SUFFIX) else None
+        if self.path is None and text != VIEWER and "://" not in text:
+            raise ValueError(f"rerun: expected FILE{SUFFIX} or an address such as {address('HOST')}, got {text!r}.")
+        self._keep, self._temporary = keep, Path()
+        self.recording: Any = rr.RecordingStream("shape_obs")
+        if self.path is not None:
+            make_folder(self.path.parent)
+            self._temporary = begin_file(self.path)
+            self.recording.save(str(self._temporary))
+        elif text == VIEWER:
+            rr.spawn(port=_PORT, connect=False)
+            _wait_for("127.0.0.1", _PORT, _PATIENCE, f"the rerun viewer did not start; write a file: FILE{SUFFIX}")
+            self.recording.connect_grpc(address("127.0.0.1"))
+        else:
+            place = urlparse(text)
+            # Without a viewer rerun would wait for one in the first call that has much to send.
+            _wait_for(place.hostname or "", place.port or _PORT, 2.0, f"no rerun viewer at {text}")
+            self.recording.connect_grpc(text)
+
+    def close(self) -> None:
+        """Send what is left, and finish the file."""
+        self.recording.disconnect()
+        if self.path is not None and self._temporary.exists():
+            finish_file(self._temporary, self.path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._keep or not isinstance(error, Exception):
+            self.close()
+            return
+        self.recording.disconnect()
+        if self.path is not None:
+            self._temporary.unlink(missing_ok=True)
+
+
+def address(host: str, port: int = _PORT) -> str:
+    """Return the address of the viewer on a host."""
+    return f"rerun+http://{host}:{port}/proxy"
+
+
+def _wait_for(host: str, port: int, patience: float, message: str) -> None:
+    """Wait until a port accepts connections.
+
+    Raises:
+        OSError: It does not.
+    """
+    end = time.monotonic() + patience
+    while True:
+        try:
+            with socket.create_connection((host, port), timeout=1.0):
+                return
+        except OSError as error:
+            if time.monotonic() > end:
+                raise OSError(f"{message}.") from error
+        time.sleep(0.1)
