@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
+
+from shape_obs.cli.rerun_option import TARGET, open_rerun, with_rerun_value
 
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
+    from shape_obs.drawing import RerunLog
     from shape_obs.shape import Detection
 
 _ORANGE = (235, 130, 40)  # the goal
@@ -32,6 +35,9 @@ class Arguments:
     """The simulated camera: 640 x 480 or 160 x 120."""
     renderer: Literal["auto", "gl", "rays"] = "auto"
     """OpenGL, ray casting, or the first of them that is available."""
+    rerun: Annotated[str | None, tyro.conf.arg(metavar=TARGET)] = None
+    """Log the episode to rerun: to FILE.rrd, or to the viewer with an address; without a value it opens the viewer, or
+    where there is no display writes OUT/demo.rrd (needs the extra 'rerun')."""
 
 
 @dataclass
@@ -50,7 +56,7 @@ class Record:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = tyro.cli(Arguments, args=list(argv), prog="shape-obs demo")
+    args = tyro.cli(Arguments, args=with_rerun_value(argv), prog="shape-obs demo")
     if not 1 <= args.steps <= 50:
         raise ValueError(f"--steps: expected 1...50, got {args.steps}.")
     import numpy as np
@@ -59,7 +65,13 @@ def main(argv: Sequence[str]) -> int:
     from shape_obs.utils.files import make_folder
 
     out = make_folder(args.out)
-    record = run_episode(args)
+    if args.rerun is None:
+        record = run_episode(args)
+    else:
+        from shape_obs.drawing import RerunLog
+
+        with open_rerun(args.rerun, out / "demo", "shape-obs demo") as stream:
+            record = run_episode(args, RerunLog(stream.recording))
     write_image(out / "demo.png", np.concatenate([record.frames[0], record.frames[-1]], axis=1))
     write_gif(out / "demo.gif", record.frames, 0.05)
     print(summary(record))
@@ -67,7 +79,7 @@ def main(argv: Sequence[str]) -> int:
     return 0
 
 
-def run_episode(args: Arguments) -> Record:
+def run_episode(args: Arguments, log: RerunLog | None = None) -> Record:
     """Play the motion that leads to the goal of the episode, and detect the cable in every frame."""
     import gymnasium as gym
     import numpy as np
@@ -76,7 +88,7 @@ def run_episode(args: Arguments) -> Record:
     from shape_obs.wrappers import ShapeObservation
 
     cable = "shape_obs_envs:ShapeObs/Cable-v0"
-    env = ShapeObservation(gym.make(cable, camera=args.camera, renderer=args.renderer, render_mode="rgb_array"))
+    env = ShapeObservation(gym.make(cable, camera=args.camera, renderer=args.renderer, render_mode="rgbd_tuple"))
     simulator: Any = env.unwrapped
     record = Record([], [], [], [], [], [])
     try:
@@ -85,7 +97,7 @@ def run_episode(args: Arguments) -> Record:
         for step in tqdm(range(args.steps), unit="step", leave=False):
             action = actions[step] if step < len(actions) else np.zeros(6, np.float32)
             observation, _, _, _, info = env.step(action)
-            _remember(record, env, observation, info)
+            _remember(record, env, observation, info, log)
     finally:
         env.close()
     return record
@@ -113,11 +125,15 @@ def summary(record: Record) -> str:
     )
 
 
-def _remember(record: Record, env: Any, observation: dict[str, Any], info: dict[str, Any]) -> None:
+def _remember(
+    record: Record, env: Any, observation: dict[str, Any], info: dict[str, Any], log: RerunLog | None
+) -> None:
     """Add one frame and its measurements to the record."""
     import numpy as np
 
     from shape_obs.drawing import draw_detection, draw_text
+    from shape_obs.drawing.matching_pixels import matching_pixels
+    from shape_obs.frame import Frame
 
     detection: Detection = env.detection
     shape = detection.shapes[0]
@@ -134,9 +150,19 @@ def _remember(record: Record, env: Any, observation: dict[str, Any], info: dict[
     goal = observation["desired_goal"].reshape(-1, 3)
     record.goal_distances_mm.append(1e3 * float(np.linalg.norm(found - goal, axis=1).mean()))
     record.vectors.append(observation["observation"])
-    picture = env.render()
+    picture, depth = env.render()
     scale = max(1, 480 // picture.shape[0])
     goal_pixels = simulator.camera_model.project_from_base(goal)
+    if log is not None:
+        log.log(
+            detection,
+            picture,
+            depth,
+            simulator.camera_model,
+            mask=matching_pixels(Frame(picture, depth), env.detector),
+            features=env.named_features(observation["observation"]),
+            goals=[goal_pixels],
+        )
     canvas = draw_detection(picture, detection, scale=scale, under=[(goal_pixels, _ORANGE)])
     away = record.goal_distances_mm[-1]
     draw_text(canvas, f"step {len(record.frames) + 1}: {away:.1f} mm from the goal (orange)", (12, 24))

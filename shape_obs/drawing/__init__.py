@@ -13,4 +13,4 @@ from shape_obs.drawing.pictures import draw_text as draw_text
 from shape_obs.drawing.pictures import point_colours as point_colours
 from shape_obs.drawing.pictures import slot_colours as slot_colours
 from shape_obs.drawing.rerun_log import RerunLog as RerunLog
-from shape_obs.drawing.rerun_log import log_rerun as log_rerun
+from shape_obs.drawing.rerun_loop import log_rerun as log_rerun

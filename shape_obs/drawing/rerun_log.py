@@ -16,8 +16,9 @@ from shape_obs.frame import FARTHEST, MILLIMETRE, Frame, check_mask
 from shape_obs.shape import Detection, Shape
 
 if TYPE_CHECKING:
-    from rerun import RecordingStream
+    from rerun.recording_stream import RecordingStream
 
+Flags = npt.NDArray[np.bool_]
 Features = Mapping[str, "Mapping[str, float] | npt.ArrayLike"]
 
 _JPEG_QUALITY: Final = 85
@@ -25,61 +26,6 @@ _UNIX_TIME: Final = 1e9  # seconds; larger stamps are times since 1970, smaller 
 _GOAL: Final = (235, 130, 40)
 # Negative radii are in pixels of the screen.
 _POINT, _FIRST, _LINE = -4.0, -6.0, -1.5
-_KNOWN: Final = 64  # recordings whose state is kept; the state of older ones is built again
-
-_logs: dict[str, RerunLog] = {}
-
-
-def log_rerun(
-    detection: Detection | None,
-    rgb: Image | None = None,
-    depth: npt.NDArray[Any] | None = None,
-    camera: CameraModel | Intrinsics | None = None,
-    *,
-    mask: npt.NDArray[Any] | None = None,
-    features: Features | None = None,
-    number: int | None = None,
-    recording: RecordingStream | None = None,
-    blueprint: bool = True,
-) -> None:
-    """Log a frame and its detection to rerun.
-
-    The page "See it in rerun" lists the entities. Call it once per frame, from one thread::
-
-        rerun.init("my_robot", spawn=True)
-        while True:
-            rgb, depth = read_camera()
-            shape_obs.log_rerun(detector.detect(rgb, depth, camera), rgb, depth, camera)
-
-    Args:
-        detection: What was found; None logs only the images.
-        rgb: ``(H, W, 3)`` uint8, RGB; logged as JPEG.
-        depth: ``(H, W)`` uint16 millimetres or floating metres, aligned to ``rgb``.
-        camera: Intrinsics, or a camera model. With a pose, everything in 3D is shown in the base frame, else in the
-            camera's optical frame.
-        mask: ``(H, W)`` bool or uint8, 0 = background.
-        features: Values by name, plotted over time: ``{"rope/length": 0.41}``, an array of values, or values by the
-            names of their components, as ``FeatureVector.named`` returns them.
-        number: Number of the frame on the timeline ``frame``; None counts the calls.
-        recording: The stream to log to; None for that of ``rerun.init``.
-        blueprint: Whether to arrange the viewer at the first call; False keeps your own blueprint.
-
-    Raises:
-        ImportError: rerun is not installed; ``pip install 'shape-obs[rerun]'``.
-        TypeError: An image has another dtype.
-        ValueError: An image has another shape or size, or there is no recording yet.
-    """
-    stream = recording or import_rerun().get_global_data_recording()
-    if stream is None:
-        raise ValueError('log_rerun: there is no rerun recording; call rerun.init("my_app", spawn=True) first.')
-    key = _recording_id(stream)
-    if key not in _logs:
-        while len(_logs) >= _KNOWN:
-            del _logs[next(iter(_logs))]
-        _logs[key] = RerunLog(stream, blueprint=blueprint)
-    log = _logs[key]
-    log.recording = stream  # rerun makes another object of the same stream at each call
-    log.log(detection, rgb, depth, camera, mask=mask, features=features, number=number)
 
 
 def import_rerun() -> Any:
@@ -133,7 +79,7 @@ class RerunLog:
         goals: Sequence[npt.NDArray[Any]] = (),
         notes: Mapping[str, str] | None = None,
     ) -> None:
-        """Log a frame as ``log_rerun`` does.
+        """Log a frame as ``shape_obs.log_rerun`` does.
 
         Args:
             detection: What was found; None logs only the images.
@@ -247,7 +193,7 @@ class RerunLog:
         colours = np.array(point_colours(shape), np.uint8)
         edges = shape.layout.edges()
         if shape.points2d is not None:
-            known = np.isfinite(shape.points2d).all(axis=1)
+            known: Flags = np.asarray(np.isfinite(shape.points2d).all(axis=1))
             path = f"{IMAGE}/shapes/{name}"
             labels = [str(i) for i in np.flatnonzero(known)]
             radii = np.where(np.flatnonzero(known) == 0, _FIRST, _POINT)
@@ -262,7 +208,7 @@ class RerunLog:
             numbers = rr.Points2D(shape.points2d[shown], colors=colours[shown], radii=0, labels=texts, show_labels=True)
             self._log(f"{path}/numbers", numbers)
         if shape.points3d is not None:
-            known = np.isfinite(shape.points3d).all(axis=1)
+            known: Flags = np.asarray(np.isfinite(shape.points3d).all(axis=1))
             path = f"{WORLD}/shapes/{name}"
             labels = [str(i) for i in np.flatnonzero(known)]
             radii = np.where(np.flatnonzero(known) == 0, _FIRST, _POINT)
@@ -302,10 +248,3 @@ class RerunLog:
             self._texts[subject] = text
             line = f"{subject}: {text or 'in order again'}"
             self._log(LOG, self._rr.TextLog(line, level=level if text else "INFO"))
-
-
-def _recording_id(stream: RecordingStream) -> str:
-    """Return the id of a stream, which older versions of rerun return by a function."""
-    if hasattr(stream, "get_recording_id"):
-        return str(stream.get_recording_id())
-    return str(import_rerun().get_recording_id(stream))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import sys
+import threading
 import time
 from pathlib import Path
 from types import TracebackType
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 VIEWER: Final = "viewer"
 SUFFIX: Final = ".rrd"
 _PORT: Final = 9876  # rerun's own
+_LAST: Final = 5.0  # seconds in which a viewer must take what is left
 _PATIENCE: Final = 15.0  # seconds until a viewer that was started must accept connections
 
 
@@ -39,7 +41,6 @@ class RerunStream:
     Args:
         target: ``FILE.rrd``, ``"viewer"`` to open a window on this machine, or the address of a running viewer,
             ``rerun+http://HOST:9876/proxy``.
-        keep: Whether a file is kept after an error too.
 
     Attributes:
         recording: The ``rerun.RecordingStream``.
@@ -51,13 +52,13 @@ class RerunStream:
         OSError: The file cannot be written, or there is no viewer.
     """
 
-    def __init__(self, target: str | Path, *, keep: bool = False) -> None:
-        rr = import_rerun()
+    def __init__(self, target: str | Path) -> None:
+        self._rr = rr = import_rerun()
         text = str(target)
         self.path = Path(text) if text.endswith(SUFFIX) else None
         if self.path is None and text != VIEWER and "://" not in text:
             raise ValueError(f"rerun: expected FILE{SUFFIX} or an address such as {address('HOST')}, got {text!r}.")
-        self._keep, self._temporary = keep, Path()
+        self._temporary = Path()
         self.recording: Any = rr.RecordingStream("shape_obs")
         if self.path is not None:
             make_folder(self.path.parent)
@@ -74,9 +75,16 @@ class RerunStream:
             self.recording.connect_grpc(text)
 
     def close(self) -> None:
-        """Send what is left, and finish the file."""
+        """Send what is left, and finish the file; a viewer that hangs is left alone after some seconds."""
+        if self.path is None:
+            sender = threading.Thread(target=self.recording.disconnect, name="rerun", daemon=True)
+            sender.start()
+            sender.join(_LAST)
+            if sender.is_alive():
+                self._rr.unregister_shutdown()  # which would wait for the viewer at the end of the process
+            return
         self.recording.disconnect()
-        if self.path is not None and self._temporary.exists():
+        if self._temporary.exists():
             finish_file(self._temporary, self.path)
 
     def __enter__(self) -> Self:
@@ -85,11 +93,10 @@ class RerunStream:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._keep or not isinstance(error, Exception):
+        if self.path is None or not isinstance(error, Exception):
             self.close()
-            return
-        self.recording.disconnect()
-        if self.path is not None:
+        else:
+            self.recording.disconnect()
             self._temporary.unlink(missing_ok=True)
 
 
