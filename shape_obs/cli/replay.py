@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from shape_obs.cli.options import open_named, warnings_as_lines
-from shape_obs.cli.rerun_option import TARGET, FrameLog, open_rerun, with_rerun_value
+from shape_obs.cli.rerun_option import TARGET, FrameLog, open_rerun, with_rerun_value, working_file
 
 if TYPE_CHECKING:
     from shape_obs.detector import ShapeDetector
@@ -180,7 +180,7 @@ def make_detector(arguments: dict[str, Any], source: RGBDSource) -> ShapeDetecto
 def _stream(args: Arguments, tables: list[Path]) -> RerunStream:
     """Open the stream of ``--rerun``; a file is written next to the first output, else into the working folder."""
     outputs = [path.with_suffix("") for path in (*tables, args.video) if path is not None]
-    return open_rerun(args.rerun or "", (*outputs, Path(Path(args.recording).name))[0], "shape-obs replay")
+    return open_rerun(args.rerun or "", (*outputs, working_file(args.recording))[0], "shape-obs replay")
 
 
 def _lenient(arguments: dict[str, Any]) -> dict[str, Any]:

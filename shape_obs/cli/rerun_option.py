@@ -58,6 +58,12 @@ def open_rerun(target: str | Path, beside: Path, prog: str) -> RerunStream:
     return stream
 
 
+def working_file(source: str) -> Path:
+    """Return where a file about a source goes in the working folder, without suffix: ``rope`` for ``data/rope.db3``."""
+    path = Path(source)
+    return Path((path.stem if path.is_file() else path.name).replace(":", "-"))
+
+
 class FrameLog:
     """Log the frames of a source to rerun, and with a detector the mask, the shapes and the features.
 

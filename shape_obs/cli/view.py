@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from shape_obs.cli.options import open_named, warnings_as_lines
-from shape_obs.cli.rerun_option import AUTO, FrameLog, open_rerun
+from shape_obs.cli.rerun_option import AUTO, FrameLog, open_rerun, working_file
 
 if TYPE_CHECKING:
     from shape_obs.source import RGBDSource
@@ -63,7 +63,7 @@ def _show(args: Arguments, source: RGBDSource, arguments: dict[str, Any] | None)
     detector = None if arguments is None else make_detector(arguments, source)
     length = args.frames or (len(source) if hasattr(source, "__len__") else None)  # pyright: ignore[reportArgumentType]
     count = 0
-    with open_rerun(args.out or AUTO, Path(Path(args.recording).name), "shape-obs view") as stream:
+    with open_rerun(args.out or AUTO, working_file(args.recording), "shape-obs view") as stream:
         log = FrameLog(stream, detector, arguments)
         frames: Iterable[Any] = (
             ((moment, None) for moment in read_moments(source, args.frames))

@@ -25,7 +25,7 @@ class RerunView:
     def __init__(self, recording: Any, env: Any) -> None:
         self._log = RerunLog(recording)
         self._env = env
-        self._names: tuple[str, ...] = getattr(env.unwrapped, "robot", None).action_spec.names
+        self._names: tuple[str, ...] = env.unwrapped.robot.action_spec.names
         self._newest: Newest[Step] = Newest(self._draw, "rerun view")
 
     def show(self, step: Step) -> None:

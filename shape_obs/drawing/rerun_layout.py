@@ -27,14 +27,15 @@ def layout(views: Set[str]) -> Any:
         flat = [f"- /{IMAGE}/{name}/**" for name in ("shapes", "mask", "crossings", "goals")]
         upper.append(rrb.Spatial3DView(origin="/", name="space", contents=[f"/{WORLD}/**", *flat]))
     lower: list[Any] = []
+    hidden = rrb.PlotLegend(visible=False)  # it would cover the lines; the pointer shows their names
     if "detection" in views:
         quality = [f"/{PLOTS}/quality/**", f"/{PLOTS}/valid/**"]
         lower.append(rrb.TimeSeriesView(origin=f"/{PLOTS}", name="quality and valid share", contents=quality))
         lower.append(rrb.TimeSeriesView(origin=f"/{PLOTS}/timings", name="milliseconds by stage"))
     if "features" in views:
-        lower.append(rrb.TimeSeriesView(origin=f"/{PLOTS}/features", name="features"))
+        lower.append(rrb.TimeSeriesView(origin=f"/{PLOTS}/features", name="features", plot_legend=hidden))
     if lower:
         lower.append(rrb.TextLogView(origin=f"/{LOG}", name="reasons"))
     rows = [rrb.Horizontal(*part) for part in (upper, lower) if part]
     container = rrb.Vertical(*rows, row_shares=[3, 1][: len(rows)]) if rows else rrb.Vertical()
-    return rrb.Blueprint(container, rrb.TimePanel(state="collapsed"), collapse_panels=False)
+    return rrb.Blueprint(container, rrb.TimePanel(state="collapsed"), collapse_panels=True)

@@ -23,6 +23,8 @@ Features = Mapping[str, "Mapping[str, float] | npt.ArrayLike"]
 
 _JPEG_QUALITY: Final = 85
 _UNIX_TIME: Final = 1e9  # seconds; larger stamps are times since 1970, smaller ones since some start
+_FILL: Final = 0.3  # of a point of the depth cloud, so that points of the shape inside the object are seen through it
+_MASK: Final = ((0, "background", (0, 0, 0, 0)), (1, "object", (60, 200, 80, 90)))
 _GOAL: Final = (235, 130, 40)
 # Negative radii are in pixels of the screen.
 _POINT, _FIRST, _LINE = -4.0, -6.0, -1.5
@@ -60,6 +62,7 @@ class RerunLog:
         self.recording = recording
         self._blueprint = blueprint
         self._frames = 0
+        self._explained = False  # the colours of the mask
         self._views: frozenset[str] = frozenset()
         self._camera: CameraModel | None = None
         self._series: dict[str, tuple[str, ...]] = {}
@@ -166,8 +169,12 @@ class RerunLog:
             if depth.dtype != np.uint16:  # the viewer takes 0 for unknown depth, but not NaN
                 depth = np.where((depth > 0) & (depth < FARTHEST), depth, 0)
             metre = 1 / MILLIMETRE if depth.dtype == np.uint16 else 1.0
-            self._log(f"{IMAGE}/depth", self._rr.DepthImage(depth, meter=metre))
+            image = self._rr.DepthImage(depth, meter=metre, colormap="grayscale", point_fill_ratio=_FILL)
+            self._log(f"{IMAGE}/depth", image)
         if mask is not None:
+            if not self._explained:
+                self._log(f"{IMAGE}/mask", self._rr.AnnotationContext(list(_MASK)), static=True)
+                self._explained = True
             self._log(f"{IMAGE}/mask", self._rr.SegmentationImage((mask > 0).astype(np.uint8)))
 
     def _log_detection(self, detection: Detection) -> None:

@@ -1,0 +1,73 @@
+"""Read what a `.rrd` file holds with rerun's own reader, whose interface depends on its version."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+# Names of the same column: since 0.24, before.
+OLD = {
+    "Points2D:positions": "Position2D",
+    "Points3D:positions": "Position3D",
+    "Points2D:colors": "Color",
+    "Points2D:labels": "Text",
+    "Scalars:scalars": "Scalar",
+    "SeriesLines:names": "Name",
+    "TextLog:text": "Text",
+    "EncodedImage:blob": "Blob",
+    "DepthImage:buffer": "ImageBuffer",
+    "SegmentationImage:buffer": "ImageBuffer",
+    "LineStrips2D:strips": "LineStrip2D",
+    "LineStrips3D:strips": "LineStrip3D",
+    "Pinhole:image_from_camera": "PinholeProjection",
+}
+
+
+def read_rrd(path: Path, entity: str, column: str, index: str = "frame") -> dict[Any, Any]:
+    """Return the values of a component of an entity by frame, or by another timeline; static ones under None."""
+    try:
+        from rerun.chunk import RrdReader
+    except ImportError:
+        return _read_view(path, entity, OLD[column], index)
+    found = {}
+    for chunk in RrdReader(path).stream():
+        if chunk.entity_path == entity:
+            batch = chunk.to_record_batch()
+            if column in batch.schema.names:
+                keys = batch.column(index).to_pylist() if index in batch.schema.names else len(batch) * [None]
+                found |= dict(zip(keys, batch.column(column).to_pylist(), strict=True))
+    return dict(sorted(found.items(), key=lambda item: (item[0] is not None, item[0]))) if found else {}
+
+
+def entities(path: Path) -> set[str]:
+    """Return the paths of all entities of the recording."""
+    try:
+        from rerun.chunk import RrdReader
+    except ImportError:
+        import rerun
+
+        columns = rerun.dataframe.load_recording(path).schema().component_columns()
+        return {column.entity_path for column in columns}
+    return {chunk.entity_path for chunk in RrdReader(path).stream()} - {"/__properties"}
+
+
+def points(values: Any) -> np.ndarray:
+    """Return a list of points as an array; `(0, 2)` for none."""
+    return np.array(values, np.float32) if values else np.zeros((0, 2), np.float32)
+
+
+def _read_view(path: Path, entity: str, component: str, index: str) -> dict[Any, Any]:
+    import rerun
+
+    recording = rerun.dataframe.load_recording(path)
+    name = f"{entity}:{component}"
+    static = [column.component_name for column in recording.schema().component_columns() if column.is_static]
+    view = recording.view(index=index, contents=entity)
+    reader = view.select_static() if any(each.endswith(component) for each in static) else view.select()
+    table = reader.read_all()
+    if name not in table.column_names:
+        return {}
+    keys = table[index].to_pylist() if index in table.column_names else len(table) * [None]
+    return {key: value for key, value in zip(keys, table[name].to_pylist(), strict=True) if value is not None}
