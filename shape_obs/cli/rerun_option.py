@@ -28,7 +28,8 @@ def with_rerun_value(argv: Sequence[str]) -> list[str]:
     of its own.
     """
     words = []
-    for word, following in zip(argv, [*argv[1:], ""], strict=True):
+    for number, word in enumerate(argv, 1):
+        following = argv[number] if number < len(argv) else ""
         words.append(word)
         if word == _OPTION and not (following.endswith(".rrd") or "://" in following):
             words.append(AUTO)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -14,9 +14,6 @@ from shape_obs.drawing.pictures import NUMBERED, PAPER, Image, point_colours, sl
 from shape_obs.drawing.rerun_layout import IMAGE, LOG, PLOTS, WORLD, layout
 from shape_obs.frame import FARTHEST, MILLIMETRE, Frame, check_mask
 from shape_obs.shape import Detection, Shape
-
-if TYPE_CHECKING:
-    from rerun.recording_stream import RecordingStream
 
 Flags = npt.NDArray[np.bool_]
 Features = Mapping[str, "Mapping[str, float] | npt.ArrayLike"]
@@ -47,7 +44,7 @@ class RerunLog:
     """Log the frames of one recording stream, and remember what rerun needs only once.
 
     Args:
-        recording: The stream.
+        recording: The ``rerun.RecordingStream``; None if it is set before each call of ``log``.
         blueprint: Whether to arrange the viewer.
 
     Attributes:
@@ -57,7 +54,7 @@ class RerunLog:
         ImportError: rerun is not installed.
     """
 
-    def __init__(self, recording: RecordingStream, *, blueprint: bool = True) -> None:
+    def __init__(self, recording: Any, *, blueprint: bool = True) -> None:
         self._rr = import_rerun()
         self.recording = recording
         self._blueprint = blueprint

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 import numpy.typing as npt
 
@@ -14,9 +15,9 @@ from shape_obs.shape import Detection
 if TYPE_CHECKING:
     from rerun.recording_stream import RecordingStream
 
-_KNOWN: Final = 64  # recordings whose state is kept; the state of older ones is built again
-
-_logs: dict[str, RerunLog] = {}
+# What is remembered of streams between calls: of those that are passed, and of that of ``rerun.init`` by its id.
+_own: WeakKeyDictionary[RecordingStream, RerunLog] = WeakKeyDictionary()
+_global: dict[str, RerunLog] = {}
 
 
 def log_rerun(
@@ -58,17 +59,34 @@ def log_rerun(
         TypeError: An image has another dtype.
         ValueError: An image has another shape or size, or there is no recording yet.
     """
-    stream = recording or import_rerun().get_global_data_recording()
+    log, stream = _log_of(recording, blueprint)
+    log.recording = stream
+    try:
+        log.log(detection, rgb, depth, camera, mask=mask, features=features, number=number)
+    finally:
+        log.recording = None  # nothing but the caller keeps a stream open, so that its file is complete when it is gone
+
+
+def _log_of(recording: RecordingStream | None, blueprint: bool) -> tuple[RerunLog, RecordingStream]:
+    """Return what is remembered of a stream, and the stream; rerun makes a new object of the global one at each call.
+
+    Raises:
+        ValueError: There is no recording yet.
+    """
+    if recording is not None and recording in _own:
+        return _own[recording], recording
+    shared = import_rerun().get_global_data_recording()
+    stream = shared if recording is None else recording
     if stream is None:
         raise ValueError('log_rerun: there is no rerun recording; call rerun.init("my_app", spawn=True) first.')
     key = _recording_id(stream)
-    if key not in _logs:
-        while len(_logs) >= _KNOWN:
-            del _logs[next(iter(_logs))]
-        _logs[key] = RerunLog(stream, blueprint=blueprint)
-    log = _logs[key]
-    log.recording = stream  # rerun makes another object of the same stream at each call
-    log.log(detection, rgb, depth, camera, mask=mask, features=features, number=number)
+    if recording is not None and (shared is None or _recording_id(shared) != key):
+        _own[recording] = RerunLog(None, blueprint=blueprint)
+        return _own[recording], recording
+    if key not in _global:
+        _global.clear()  # there is one at a time
+        _global[key] = RerunLog(None, blueprint=blueprint)
+    return _global[key], stream
 
 
 def _recording_id(stream: RecordingStream) -> str:

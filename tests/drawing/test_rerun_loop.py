@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 
 import cv2
@@ -180,3 +181,15 @@ def test_bad_images_and_a_missing_library_are_reported(stream, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(ImportError, match=r"pip install 'shape-obs\[rerun\]'"):
         shape_obs.log_rerun(None)
+
+
+def test_streams_are_counted_apart_and_close_when_they_are_dropped(tmp_path):
+    for name, frames in (("a", 3), ("b", 2)):
+        recording = rr.RecordingStream("test", recording_id=name)
+        recording.save(str(tmp_path / f"{name}.rrd"))
+        for _ in range(frames):
+            shape_obs.log_rerun(None, frame()[0], recording=recording)
+        del recording
+        gc.collect()
+        logged = read_rrd(tmp_path / f"{name}.rrd", "/camera/image/rgb", "EncodedImage:blob")
+        assert list(logged) == list(range(frames))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-# Names of the same column: since 0.24, before.
+# Names of the same column: since 0.24, and before.
 OLD = {
     "Points2D:positions": "Position2D",
     "Points3D:positions": "Position3D",
@@ -22,6 +22,7 @@ OLD = {
     "LineStrips2D:strips": "LineStrip2D",
     "LineStrips3D:strips": "LineStrip3D",
     "Pinhole:image_from_camera": "PinholeProjection",
+    "Transform3D:translation": "Translation3D",
 }
 
 
@@ -30,7 +31,7 @@ def read_rrd(path: Path, entity: str, column: str, index: str = "frame") -> dict
     try:
         from rerun.chunk import RrdReader
     except ImportError:
-        return _read_view(path, entity, OLD[column], index)
+        return _read_view(path, entity, column, index)
     found = {}
     for chunk in RrdReader(path).stream():
         if chunk.entity_path == entity:
@@ -58,16 +59,21 @@ def points(values: Any) -> np.ndarray:
     return np.array(values, np.float32) if values else np.zeros((0, 2), np.float32)
 
 
-def _read_view(path: Path, entity: str, component: str, index: str) -> dict[Any, Any]:
+def _read_view(path: Path, entity: str, column: str, index: str) -> dict[Any, Any]:
     import rerun
 
     recording = rerun.dataframe.load_recording(path)
-    name = f"{entity}:{component}"
-    static = [column.component_name for column in recording.schema().component_columns() if column.is_static]
-    view = recording.view(index=index, contents=entity)
-    reader = view.select_static() if any(each.endswith(component) for each in static) else view.select()
-    table = reader.read_all()
-    if name not in table.column_names:
+    static = {
+        f"{each.entity_path}:{each.component}"
+        if hasattr(each, "component")
+        else f"{each.entity_path}:{each.component_name}"
+        for each in recording.schema().component_columns()
+        if each.is_static
+    }
+    view, names = recording.view(index=index, contents=entity), {f"{entity}:{column}", f"{entity}:{OLD[column]}"}
+    table = (view.select_static() if names & static else view.select()).read_all()
+    name = next(iter(names & set(table.column_names)), None)
+    if name is None:
         return {}
     keys = table[index].to_pylist() if index in table.column_names else len(table) * [None]
     return {key: value for key, value in zip(keys, table[name].to_pylist(), strict=True) if value is not None}
