@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import gc
 import sys
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-
-pytest.importorskip("rerun")
-
-import rerun as rr
 from rerun_reading import entities, points, read_rrd
 
 import shape_obs
 from shape_obs import CameraModel, Centerline, HSVRange, Intrinsics, ShapeDetector
 from shape_obs.drawing import HIDDEN, VALID, VISIBLE
+
+rr: Any = pytest.importorskip("rerun")
 
 SIZE = (120, 160)
 LENS = Intrinsics(width=160, height=120, fx=150.0, fy=150.0, cx=79.5, cy=59.5)

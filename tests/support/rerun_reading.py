@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +29,10 @@ OLD = {
 
 def read_rrd(path: Path, entity: str, column: str, index: str = "frame") -> dict[Any, Any]:
     """Return the values of a component of an entity by frame, or by another timeline; static ones under None."""
-    try:
-        from rerun.chunk import RrdReader
-    except ImportError:
+    if (reader := _reader()) is None:
         return _read_view(path, entity, column, index)
     found = {}
-    for chunk in RrdReader(path).stream():
+    for chunk in reader(path).stream():
         if chunk.entity_path == entity:
             batch = chunk.to_record_batch()
             if column in batch.schema.names:
@@ -44,14 +43,9 @@ def read_rrd(path: Path, entity: str, column: str, index: str = "frame") -> dict
 
 def entities(path: Path) -> set[str]:
     """Return the paths of all entities of the recording."""
-    try:
-        from rerun.chunk import RrdReader
-    except ImportError:
-        import rerun
-
-        columns = rerun.dataframe.load_recording(path).schema().component_columns()
-        return {column.entity_path for column in columns}
-    return {chunk.entity_path for chunk in RrdReader(path).stream()} - {"/__properties"}
+    if (reader := _reader()) is None:
+        return {column.entity_path for column in _load(path).schema().component_columns()}
+    return {chunk.entity_path for chunk in reader(path).stream()} - {"/__properties"}
 
 
 def points(values: Any) -> np.ndarray:
@@ -59,10 +53,22 @@ def points(values: Any) -> np.ndarray:
     return np.array(values, np.float32) if values else np.zeros((0, 2), np.float32)
 
 
-def _read_view(path: Path, entity: str, column: str, index: str) -> dict[Any, Any]:
-    import rerun
+def _reader() -> Any:
+    """Return the class that reads files by chunks; None in versions that have only views."""
+    for module in ("rerun.chunk", "rerun.experimental"):
+        try:
+            return import_module(module).RrdReader
+        except (ImportError, AttributeError):
+            continue
+    return None
 
-    recording = rerun.dataframe.load_recording(path)
+
+def _load(path: Path) -> Any:
+    return import_module("rerun.dataframe").load_recording(path)
+
+
+def _read_view(path: Path, entity: str, column: str, index: str) -> dict[Any, Any]:
+    recording = _load(path)
     static = {
         f"{each.entity_path}:{each.component}"
         if hasattr(each, "component")
