@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import subprocess
 import sys
 import threading
 import time
@@ -65,8 +66,7 @@ class RerunStream:
             self._temporary = begin_file(self.path)
             self.recording.save(str(self._temporary))
         elif text == VIEWER:
-            rr.spawn(port=_PORT, connect=False)
-            _wait_for("127.0.0.1", _PORT, _PATIENCE, f"the rerun viewer did not start; write a file: FILE{SUFFIX}")
+            _open_viewer()
             self.recording.connect_grpc(address("127.0.0.1"))
         else:
             place = urlparse(text)
@@ -105,6 +105,22 @@ def address(host: str, port: int = _PORT) -> str:
     return f"rerun+http://{host}:{port}/proxy"
 
 
+def _open_viewer() -> None:
+    """Open a viewer unless there is one.
+
+    Its own ``spawn`` would give it the standard output of this process, so that a pipe stays open as long as it runs.
+
+    Raises:
+        OSError: It does not start.
+    """
+    if _listens("127.0.0.1", _PORT):
+        return
+    silent: Any = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+    command = [sys.executable, "-m", "rerun", "--port", str(_PORT), "--memory-limit", "75%"]
+    subprocess.Popen(command, start_new_session=True, **silent)
+    _wait_for("127.0.0.1", _PORT, _PATIENCE, f"the rerun viewer did not start; write a file: FILE{SUFFIX}")
+
+
 def _wait_for(host: str, port: int, patience: float, message: str) -> None:
     """Wait until a port accepts connections.
 
@@ -112,11 +128,15 @@ def _wait_for(host: str, port: int, patience: float, message: str) -> None:
         OSError: It does not.
     """
     end = time.monotonic() + patience
-    while True:
-        try:
-            with socket.create_connection((host, port), timeout=1.0):
-                return
-        except OSError as error:
-            if time.monotonic() > end:
-                raise OSError(f"{message}.") from error
+    while not _listens(host, port):
+        if time.monotonic() > end:
+            raise OSError(f"{message}.")
         time.sleep(0.1)
+
+
+def _listens(host: str, port: int) -> bool:
+    try:
+        with socket.create_connection((host, port), timeout=1.0):
+            return True
+    except OSError:
+        return False

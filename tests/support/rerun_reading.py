@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -56,10 +57,8 @@ def points(values: Any) -> np.ndarray:
 def _reader() -> Any:
     """Return the class that reads files by chunks; None in versions that have only views."""
     for module in ("rerun.chunk", "rerun.experimental"):
-        try:
+        if find_spec(module) is not None and hasattr(import_module(module), "RrdReader"):
             return import_module(module).RrdReader
-        except (ImportError, AttributeError):
-            continue
     return None
 
 
