@@ -24,7 +24,7 @@ def read_camera(number: int) -> tuple[np.ndarray, np.ndarray]:
     rgb, depth = np.full((480, 640, 3), (200, 198, 190), np.uint8), np.full((480, 640), 800, np.uint16)
     if number not in LOST:
         s = np.linspace(0, 1, 200)
-        rope = np.stack([80 + 480 * s, 240 + 120 * np.sin(7 * s + 0.1 * number) * s], axis=1)
+        rope = np.stack([80 + 480 * s, 240 + 120 * np.sin(7 * s) * s + 40 * np.sin(0.1 * number)], axis=1)
         line = np.round(rope).astype(np.int32)
         cv2.polylines(rgb, [line], False, (20, 70, 160), 13, cv2.LINE_AA)
         cv2.polylines(depth, [line], False, 785, 13)

@@ -32,6 +32,8 @@ def main() -> None:
         frames = [moment.frame for moment in read_moments(source, FRAMES)]
     detector = ShapeDetector([Centerline(n=20, ends="tips")], BLUE)
     times: dict[str, list[float]] = defaultdict(list)
+    size = 0.0
+    images: dict[str, Any]
     for _ in range(ROUNDS):
         with tempfile.TemporaryDirectory() as folder:
             recording: Any = RecordingStream("costs")
