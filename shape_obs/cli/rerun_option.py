@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from shape_obs.utils.errors import UsageError
+
 if TYPE_CHECKING:
     from shape_obs.detector import ShapeDetector
     from shape_obs.drawing.rerun_stream import RerunStream
@@ -34,6 +36,16 @@ def with_rerun_value(argv: Sequence[str]) -> list[str]:
         if word == _OPTION and not (following.endswith(".rrd") or "://" in following):
             words.append(AUTO)
     return words
+
+
+def check_target(value: str, name: str) -> None:
+    """Check that a value is a file named ``*.rrd``, an address, or ``auto``.
+
+    Raises:
+        UsageError: It is none of these.
+    """
+    if value != AUTO and not value.endswith(".rrd") and "://" not in value:
+        raise UsageError(f"{name}: expected FILE.rrd or rerun+http://HOST:9876/proxy, got {value!r}.")
 
 
 def open_rerun(target: str | Path, beside: Path, prog: str) -> RerunStream:

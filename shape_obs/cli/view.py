@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import tyro
-
-from shape_obs.cli.options import open_named, warnings_as_lines
-from shape_obs.cli.rerun_option import AUTO, FrameLog, open_rerun, working_file
+from shape_obs.cli.options import check_source, open_named, read_settings, warnings_as_lines
+from shape_obs.cli.parsing import Option, parse
+from shape_obs.cli.rerun_option import AUTO, FrameLog, check_target, open_rerun, working_file
 
 if TYPE_CHECKING:
     from shape_obs.source import RGBDSource
@@ -24,29 +23,29 @@ class Arguments:
     Ctrl-C ends it, and the file holds the frames up to then. It needs the extra 'rerun'.
     """
 
-    recording: Annotated[str, tyro.conf.Positional]
+    recording: Annotated[str, Option("RECORDING", positional=True, check=check_source)]
     """A folder, FILE.db3, FILE.bag or a video file; or, with --frames, d455[:serial] or the id of an environment."""
-    config: Path | None = None
+    config: Annotated[Path | None, Option("FILE", "detection", existing="config file")] = None
     """A YAML config file; also shows the shapes."""
-    out: Annotated[str | None, tyro.conf.arg(metavar="FILE.rrd", aliases=["-o"])] = None
+    out: Annotated[str | None, Option("FILE.rrd", "output", "-o", check=check_target)] = None
     """Write this file, or show the recording in the running viewer with this address."""
-    frames: int | None = None
+    frames: Annotated[int | None, Option("N", "source", least=1)] = None
     """Largest number of frames."""
-    extrinsics: Path | None = None
+    extrinsics: Annotated[Path | None, Option("FILE", "source", existing="file of extrinsics")] = None
     """A file with the pose of the camera in the base frame; replaces the recorded pose."""
-    set: tuple[str, ...] = ()
-    """KEY=VALUE ...: arguments of the source."""
+    set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
+    """Arguments of the source."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = tyro.cli(Arguments, args=list(argv), prog="shape-obs view")
+    args = parse(Arguments, argv, "shape-obs view")
     from shape_obs.config.config_file import load_config
 
     arguments = None if args.config is None else load_config(args.config)
     with warnings_as_lines("shape-obs view"), open_named(args.recording, args.extrinsics, args.set) as source:
         if source.kind in ("d455", "software", "env") and args.frames is None:
-            raise ValueError(f"{source.name} never ends: give --frames N.")
+            raise UsageError(f"{source.name} never ends: give --frames N.")
         count, path = _show(args, source, arguments)
     print(f"frames          {count}" + (f"\nwrote           {path}" if path else ""))
     return 0
