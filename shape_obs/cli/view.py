@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from shape_obs.cli.options import check_source, open_named, read_settings, warnings_as_lines
 from shape_obs.cli.parsing import Option, parse
 from shape_obs.cli.rerun_option import AUTO, FrameLog, check_target, open_rerun, working_file
+from shape_obs.utils.errors import UsageError
 
 if TYPE_CHECKING:
     from shape_obs.source import RGBDSource
