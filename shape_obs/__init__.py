@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from shape_obs.deploy.policy_bundle import load_bundle as load_bundle
     from shape_obs.deploy.policy_bundle import save_bundle as save_bundle
     from shape_obs.detector import ShapeDetector as ShapeDetector
+    from shape_obs.drawing import log_rerun as log_rerun
     from shape_obs.extrinsics import Extrinsics as Extrinsics
     from shape_obs.features import Feature as Feature
     from shape_obs.frame import Frame as Frame
@@ -59,6 +60,7 @@ _HOME = {
     "shape_obs.configurations.contour": ("Contour",),
     "shape_obs.configurations.surface": ("Surface",),
     "shape_obs.detector": ("ShapeDetector",),
+    "shape_obs.drawing": ("log_rerun",),
     "shape_obs.extrinsics": ("Extrinsics",),
     "shape_obs.features": ("Feature",),
     "shape_obs.frame": ("Frame",),

@@ -21,6 +21,7 @@ COMMANDS: Final = {
     "detect": "find the shape in image files",
     "record": "record frames from a camera, a file or an environment",
     "replay": "find the shape in every frame of a recording",
+    "view": "show a recording in the rerun viewer",
     "extract": "find the shapes in many recordings, as a Parquet dataset",
     "fit-features": "fit principal components to recorded shapes",
     "goal": "record the shape that the camera sees now as a goal",

@@ -167,8 +167,8 @@ class FeatureLog:
         self._values: list[Column] = []
         self._measured: list[Column] = []
 
-    def add(self, moment: Moment, detection: Detection) -> None:
-        """Add the features of a frame.
+    def add(self, moment: Moment, detection: Detection) -> dict[str, dict[str, float]]:
+        """Add the features of a frame, and return them by feature and component, see ``FeatureVector.named``.
 
         Raises:
             ValueError: A feature needs something that the frame lacks, such as depth or extrinsics.
@@ -177,7 +177,7 @@ class FeatureLog:
         from shape_obs.wrappers.env_protocol import base_point
 
         if not self._features:
-            return
+            return {}
         height, width = moment.frame.size or (1, 1)
         context = FeatureContext(
             width, height, moment.frame.camera, self._workspace, self._max_age, anchors=moment.anchors
@@ -187,6 +187,7 @@ class FeatureLog:
         contexts = [replace(context, anchor=base_point(shape, moment.anchors)) for shape in self._shapes]
         self._values.append(self._vector.compute(detection.shapes, contexts))
         self._measured.append(self._vector.measured(detection.shapes))
+        return self._vector.named(self._values[-1])
 
     def columns(self) -> dict[str, Column]:
         """Return ``<shape>/features/<kind>`` ``(F, D)`` float32 and, for each, ``.../measured`` ``(F, D)`` bool."""

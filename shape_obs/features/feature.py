@@ -93,6 +93,10 @@ class Feature(Spec, family="feature"):
         """Return the unit of each of the D values."""
         return len(self.bounds(layout, context)[0]) * (self.unit,)
 
+    def components(self, size: int) -> tuple[str, ...]:
+        """Return the names of the D = ``size`` values; an only value has an empty name."""
+        return tuple(str(i) for i in range(size)) if size > 1 else ("",)
+
     def reconstruct(self, values: npt.ArrayLike, layout: Topology, context: FeatureContext) -> Array:
         """Return the points that the values describe, of shape (N, 2) or (N, 3), in the feature's frame and unit.
 
@@ -204,6 +208,22 @@ class FeatureVector:
                 stacklevel=2,
             )
         return clipped
+
+    def named(self, values: npt.ArrayLike) -> dict[str, dict[str, float]]:
+        """Return values by feature and component: ``{"rope/points3d": {"x0": 0.1, ...}}``.
+
+        Args:
+            values: ``(D,)`` as ``compute`` returns them. Further features of a kind are numbered: ``"rope/pca_2"``.
+        """
+        found: dict[str, dict[str, float]] = {}
+        array = np.asarray(values, np.float64)
+        for block in self.blocks:
+            stem = f"{block.shape}/{block.feature.kind}"
+            count = sum(name.rpartition("_")[0] == stem or name == stem for name in found)
+            names = block.feature.components(len(block.units))
+            part = dict(zip(names, array[block.place].tolist(), strict=True))
+            found[f"{stem}_{count + 1}" if count else stem] = part
+        return found
 
     def measured(self, shapes: Sequence[Shape]) -> npt.NDArray[np.bool_]:
         """Return which values were measured in this frame and not filled in, of shape ``(D,)``."""

@@ -82,7 +82,7 @@ def record(
     seconds: float | None = None,
     depth: Depth = "auto",
     workers: int = 2,
-    on_frame: Callable[[], Any] | None = None,
+    on_frame: Callable[[Moment], Any] | None = None,
 ) -> Recorded:
     """Record a source until a limit, its end, Ctrl-C, or the loss of the camera; recorded frames are kept.
 
@@ -93,7 +93,7 @@ def record(
         seconds: Largest duration by the stamps.
         depth: ``"auto"`` records depth if there is any, ``"yes"`` requires it, ``"no"`` leaves it out.
         workers: Number of threads that encode images.
-        on_frame: Called after each frame, for a progress bar.
+        on_frame: Called with each frame, for a progress bar or a view; its arrays must not be changed.
 
     Raises:
         ValueError: A limit is out of range, or depth is required and missing.
@@ -117,7 +117,7 @@ def record(
                 recorded.count(moment.frame)
                 recorded.dropped += not writer.add(moment, wait=not source.live)
                 if on_frame is not None:
-                    on_frame()
+                    on_frame(moment)
         except KeyboardInterrupt:
             recorded.stopped = "interrupted"
         except SourceError as error:

@@ -156,6 +156,10 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         """Return the env's reward for goals of this wrapper: flat points in metres, batched if the env supports it."""
         return self.env.get_wrapper_attr("compute_reward")(achieved_goal, desired_goal, info)
 
+    def named_features(self, values: Any) -> dict[str, dict[str, float]]:
+        """Return the features of an observation, ``(D,)``, by feature and component, see ``FeatureVector.named``."""
+        return self._vector.named(values)
+
     @property
     def contexts(self) -> list[FeatureContext]:
         """The context of each shape in the last observation: camera, image size and anchors."""

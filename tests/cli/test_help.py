@@ -15,7 +15,7 @@ GROUPS = {"calibrate": CALIBRATIONS}
 # Not rich: old versions of tyro write their help with it.
 HEAVY = {
     "PIL", "cv2", "gymnasium", "joblib", "matplotlib", "mujoco", "numba", "numpy", "pandas",
-    "pyarrow", "pyrealsense2", "ray", "scipy", "shape_obs_envs", "sklearn", "stable_baselines3", "torch",
+    "pyarrow", "pyrealsense2", "ray", "rerun", "scipy", "shape_obs_envs", "sklearn", "stable_baselines3", "torch",
     "tqdm", "yaml",
 }  # fmt: skip
 SCRIPT = """
