@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
 from typing import Any, Final
 
@@ -20,11 +20,12 @@ from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.configurations.anchors import Anchors
 from shape_obs.configurations.base import Configuration, Scene
 from shape_obs.configurations.shape_points import SHAPE_FUNCTIONS
-from shape_obs.frame import Frame, check_mask
+from shape_obs.frame import Frame
 from shape_obs.geometry.crossings import Crossing
 from shape_obs.geometry.intersections import crossing_table, find_crossings, joined
 from shape_obs.geometry.observed import Observed
 from shape_obs.image.find_region import prepare
+from shape_obs.image.mask_check import check_given_mask
 from shape_obs.image.over_under import find_layers
 from shape_obs.image.roi import ROI
 from shape_obs.image.segmentation import Segmentation
@@ -38,6 +39,7 @@ from shape_obs.utils.threads import use_no_threads_in_forked_children
 
 Array = npt.NDArray[np.float64]
 ShapeLike = Configuration | Mapping[str, Any] | str
+SegmentationLike = Segmentation | Mapping[str, Any] | str | Callable[..., Any]
 
 _SEARCH_ALL: Final = 30  # frames, after which all of the image is searched: what was hidden may be back
 
@@ -49,7 +51,8 @@ class ShapeDetector:
 
     Args:
         shapes: Configurations, as specs, mappings or names: ``[Centerline(n=20)]``, ``["centerline"]``.
-        segmentation: The pixel rule, as a spec or a mapping; not needed for ``detect_mask``.
+        segmentation: The pixel rule, as a spec, a mapping, a function ``(rgb, depth) -> mask`` or its import path
+            ``"module:function"``, see ``MaskFunction``; not needed for ``detect_mask``.
         options: The other fields of ``DetectorConfig``.
 
     Attributes:
@@ -69,7 +72,7 @@ class ShapeDetector:
     def __init__(
         self,
         shapes: Iterable[ShapeLike] | ShapeLike | None = None,
-        segmentation: Segmentation | Mapping[str, Any] | None = None,
+        segmentation: SegmentationLike | None = None,
         **options: Any,
     ) -> None:
         given = {"shapes": shapes, "segmentation": segmentation}
@@ -140,14 +143,14 @@ class ShapeDetector:
         stamp: float | None = None,
         anchors: Anchors = None,
     ) -> Detection:
-        """Find the shapes in a mask from elsewhere: ``(H, W)`` bool or uint8, 0 = background. Else as ``detect``.
+        """Find the shapes in a mask from elsewhere: ``(H, W)`` bool, or 0 and 1, or 0 and 255. Else as ``detect``.
 
         The picture ``rgb``, if there is one, shows which strand is above at a crossing, and with a ``count`` which
         ropes have unlike colours.
         """
         begin = time.perf_counter()
         frame = Frame(rgb, depth, as_camera_model(camera), stamp)
-        return self._detect_in_image(frame, check_mask(mask, frame), anchors, begin)
+        return self._detect_in_image(frame, check_given_mask(mask, frame), anchors, begin)
 
     def detect_cloud(
         self,
