@@ -11,8 +11,8 @@ import numpy as np
 from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
 from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.configurations.base import Configuration
-from shape_obs.image.segmentation import Segmentation
-from shape_obs.spec import Spec, SpecError, did_you_mean, to_plain
+from shape_obs.image.mask_function import MaskFunction
+from shape_obs.spec import SpecError, did_you_mean, to_plain
 
 #: The arguments that are not passed on to the detector.
 OWN: Final = ("features", "camera", "keep", "rgb_key", "depth_key", "workspace")
@@ -21,8 +21,7 @@ OWN: Final = ("features", "camera", "keep", "rgb_key", "depth_key", "workspace")
 def to_recorded(value: Any) -> Any:
     """Return a constructor argument as JSON values, so that ``gym.make(env.spec)`` rebuilds the wrapped env.
 
-    Specs, cameras, arrays and iterables become dicts, lists and scalars. A function becomes the segmentation that
-    calls it.
+    Specs, cameras, arrays and iterables become dicts, lists and scalars; a function becomes its import path.
 
     Raises:
         SpecError: A function has no import path.
@@ -30,16 +29,16 @@ def to_recorded(value: Any) -> Any:
     if isinstance(value, CameraModel):
         transform = value.transform_camera_to_base
         return {"intrinsics": value.intrinsics.to_dict(), "transform_camera_to_base": to_plain(transform)}
-    return to_plain(_with_rules(value))
+    return to_plain(_with_paths(value))
 
 
-def _with_rules(value: Any) -> Any:
-    """Return a value with each function in it, at any depth, replaced by a segmentation."""
+def _with_paths(value: Any) -> Any:
+    """Return a value with each function in it, at any depth, replaced by its import path."""
     if isinstance(value, Mapping):
-        return {name: _with_rules(item) for name, item in value.items()}
+        return {name: _with_paths(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_with_rules(item) for item in value]
-    return Segmentation.from_dict(value) if callable(value) and not isinstance(value, (Spec, type)) else value
+        return [_with_paths(item) for item in value]
+    return MaskFunction(value).to_dict()["function"] if callable(value) and not isinstance(value, type) else value
 
 
 def read_camera(value: CameraModel | Intrinsics | Mapping[str, Any] | None) -> CameraModel | None:

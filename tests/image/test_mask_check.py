@@ -15,8 +15,8 @@ WRONG: dict[str, tuple[Any, type[Exception], str]] = {
     "none": (lambda mask: None, TypeError, "expected a numpy array of bool or uint8, got NoneType: return the mask."),
     "list": (lambda mask: mask.tolist(), TypeError, "expected a numpy array of bool or uint8, got list."),
     "floats": (lambda mask: mask * 0.9, TypeError, "got an array of float64: compare it with a threshold, such as ma"),
-    "labels": (lambda mask: mask * np.uint8(3), ValueError, "expected only the values 0 and 1, or 0 and 255, got 0, 3."),
-    "ignored": (lambda mask: labels(mask), ValueError, "got 0, 1, 255. Of an image of labels return one, such as labels"),
+    "labels": (lambda mask: mask * np.uint8(3), ValueError, "only the values 0 and 1, or 0 and 255, got 0, 3."),
+    "ignored": (lambda mask: labels(mask), ValueError, "got 0, 1, 255. Of an image of labels return one, such as"),
     "int64": (lambda mask: mask * np.int64(7), ValueError, "expected only the values 0 and 1, or 0 and 255, got 0, 7."),
     "negative": (lambda mask: -mask.astype(np.int8), ValueError, "or 0 and 255, got -1, 0."),
     "batch": (lambda mask: mask[None], ValueError, r"got \(1, \d+, \d+\): take mask\[0\]"),
@@ -85,6 +85,11 @@ RULES = {
 }
 
 
+@pytest.fixture
+def wave_image(blue):
+    return blue
+
+
 @pytest.fixture(autouse=True)
 def _right():
     SWITCH["make"] = RIGHT["bool"]
@@ -122,12 +127,10 @@ class TestWrong:
             ShapeDetector([Centerline(count=2)], spec).detect(wave_image)
 
 
-@pytest.mark.parametrize("wrong", WRONG)
+@pytest.mark.parametrize("wrong", [name for name in WRONG if name != "transposed"])  # the table is made in squares
 def test_a_wrong_colour_rule_is_an_error_when_its_table_is_made(wrong):
     make, error, message = WRONG[wrong]
     SWITCH["make"] = make
-    if wrong == "transposed":
-        pytest.skip("the colours of the table lie in a square")
     with pytest.raises(error, match=rf"^segmentation 'test_matches': .*{message}"):
         ShapeDetector(segmentation=Matches(min_area=len(wrong)))
 
@@ -167,8 +170,3 @@ def test_a_tensor_is_named_with_what_to_do():
 
     with pytest.raises(TypeError, match=r"^rule: .* got Tensor: return its .cpu\(\).numpy\(\)."):
         checked_mask(Tensor(), None, "rule")
-
-
-@pytest.fixture
-def wave_image(blue):
-    return blue
