@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
+
+from shape_obs.cli.options import warnings_as_lines
 
 if TYPE_CHECKING:
     from shape_obs.detector import ShapeDetector
@@ -19,10 +21,10 @@ if TYPE_CHECKING:
 class Arguments:
     """Find the shape in image files.
 
-    Prints one line of JSON per image to stdout, and writes each image with the points drawn over it to a folder. The
-    exit code is 1 if a file could not be read or a shape was not found.
+    Prints one line of JSON per image to stdout and one for people to stderr, and writes each image with the points
+    drawn over it to a folder. The exit code is 1 if a file could not be read or a shape was not found.
 
-    Describe how the object looks with one of --config, --hsv and --pick.
+    Describe how the object looks with one of --config, --hsv, --segmentation and --pick.
     """
 
     images: Annotated[tuple[Path, ...], tyro.conf.Positional]
@@ -35,6 +37,8 @@ class Arguments:
     """A YAML config file, as --pick writes it."""
     hsv: tuple[int, int, int, int, int, int] | None = None
     """The object's colour: low h s v, high h s v (h 0...179, s and v 0...255; red wraps around: 170 ... 10 ...)."""
+    segmentation: str | None = None
+    """module:function: your own function (rgb, depth) -> mask; modules in the current folder are found."""
     pick: str | None = None
     """u,v: a pixel on the object in the first image. Proposes an HSV range and writes it to --save-config."""
     save_config: Path = Path("shape.yaml")
@@ -66,14 +70,40 @@ def main(argv: Sequence[str]) -> int:
     out = make_folder(args.out)
     failed = 0
     for i, path in enumerate(_with_progress(args.images)):
-        result = _detect(detector, args, i, out)
+        with warnings_as_lines("shape-obs detect"):
+            result = _detect(detector, args, i, out)
         failed += not result.get("ok", False)
-        if "error" in result:
-            from tqdm import tqdm
-
-            tqdm.write(f"shape-obs detect: {result['error']}", file=sys.stderr)  # above the bar
+        _say(_line(path, result), many=len(args.images) > 1)
         print(json.dumps({"image": str(path), **result}), flush=True)
     return 1 if failed else 0
+
+
+def _line(path: Path, result: Mapping[str, Any]) -> str:
+    """Return what was found in an image as one line for people."""
+    if "error" in result:
+        error = " ".join(result["error"].split())
+        return error if error.startswith(str(path)) else f"{path}: {error}"
+    shapes = []
+    for shape in result["shapes"]:
+        if shape["reason"]:
+            shapes.append(f"{shape['name']} not found: {shape['reason']}")
+            continue
+        seen, valid = shape["visible"].count(True), shape["valid"].count(True)
+        points = f"{len(shape['visible'])} points"
+        points += f", {seen} of them visible" if seen < len(shape["visible"]) else ""
+        points += f", {valid} with depth" if shape["points3d"] is not None else ""
+        shapes.append(f"{shape['name']} found, quality {shape['quality']:.2f}, {points}")
+    return f"{path}: {'; '.join(shapes) or 'nothing found'}; picture: {result['overlay']}"
+
+
+def _say(line: str, *, many: bool) -> None:
+    """Print a line to stderr, above the progress bar if there is one."""
+    if many:
+        from tqdm import tqdm
+
+        tqdm.write(line, file=sys.stderr)
+    else:
+        print(line, file=sys.stderr)
 
 
 def _with_progress(images: tuple[Path, ...]) -> Iterable[Path]:
@@ -116,14 +146,21 @@ def _detector_arguments(args: Arguments) -> dict[str, Any]:
     from shape_obs.image.segmentation import HSVRange
     from shape_obs.utils.arrays import read_image
 
-    ways = [name for name in ("config", "hsv", "pick") if getattr(args, name) is not None]
+    ways = [name for name in ("config", "hsv", "segmentation", "pick") if getattr(args, name) is not None]
     if len(ways) != 1:
-        raise ValueError(f"give exactly one of --config FILE, --hsv ... or --pick u,v; got {ways or 'none'}.")
+        raise ValueError(
+            "give exactly one of --config FILE, --hsv ..., --segmentation module:function or --pick u,v; got "
+            f"{ways or 'none'}."
+        )
     arguments: dict[str, Any]
     if args.config is not None:
         arguments = detector_arguments(load_config(args.config))
     elif args.hsv is not None:
         arguments = {"segmentation": HSVRange(args.hsv[:3], args.hsv[3:])}
+    elif args.segmentation is not None:
+        if ":" not in args.segmentation:
+            raise ValueError(f"--segmentation: expected module:function, got {args.segmentation!r}.")
+        arguments = {"segmentation": args.segmentation}
     else:
         arguments = {"segmentation": propose_hsv(read_image(args.images[0]), _pixel(args.pick or ""))}
     if args.ends is not None:

@@ -117,10 +117,10 @@ def _region(
         )
         mask, runs, areas, box = np.zeros_like(mask), runs[:0], areas[:0], (window.left, window.top, 0, 0)
     sizes = sorted(areas.tolist(), reverse=True)
-    area = sum(sizes)
+    area, noise = sum(sizes), bool(refusal)
     if area < MIN_SAMPLES and not refusal:
         refusal = f"the mask has {area} pixels, at least {MIN_SAMPLES} are needed" if area else "the mask is empty"
-    return Region(window, mask, runs, tuple(sizes), Window(*box), area, len(sizes), refusal)
+    return Region(window, mask, runs, tuple(sizes), Window(*box), area, len(sizes), refusal, noise=noise)
 
 
 @lru_cache(maxsize=64)

@@ -18,11 +18,9 @@ import numpy.typing as npt
 from shape_obs.frame import MILLIMETRE, Frame
 from shape_obs.image.mask_check import checked_mask
 from shape_obs.image.roi import Window
-from shape_obs.spec import Spec
+from shape_obs.spec import Spec, SpecError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from typing_extensions import Self
 
 Table = npt.NDArray[np.uint64]
@@ -56,7 +54,7 @@ class Segmentation(Spec, family="segmentation", modules=_MODULES):
     min_share: float = 0.05
 
     @classmethod
-    def from_dict(cls, value: Self | Mapping[str, Any] | str | Callable[..., Any]) -> Self:
+    def from_dict(cls, value: Any) -> Self:
         """Build a rule as ``Spec.from_dict`` does; a function or its path ``"module:function"`` is one of its own.
 
         Raises:
@@ -65,7 +63,7 @@ class Segmentation(Spec, family="segmentation", modules=_MODULES):
         path = isinstance(value, str) and ":" in value
         if path or (callable(value) and not isinstance(value, (Segmentation, type))):
             value = {"kind": "callable", "function": value}
-        return super().from_dict(value)  # type: ignore[arg-type]
+        return super().from_dict(value)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -158,11 +156,20 @@ class HSVRange(ColourRule, kind="hsv"):
     high: tuple[int, int, int]
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         top = (HUES - 1, 255, 255)
         for name, bound in (("low", self.low), ("high", self.high)):
+            if scaled := _from_fractions(bound):
+                raise SpecError(
+                    f"hsv: {name} must be (h 0...179, s 0...255, v 0...255), got {tuple(bound)}. If that is 0...1, "
+                    f"give {scaled}."
+                )
+        super().__post_init__()
+        for name, bound in (("low", self.low), ("high", self.high)):
             if len(bound) != 3 or any(not 0 <= value <= limit for value, limit in zip(bound, top, strict=True)):
-                raise ValueError(f"hsv: {name} must be (h 0...179, s 0...255, v 0...255), got {bound}.")
+                degrees = (
+                    f" In degrees a hue is twice OpenCV's: give {bound[0] // 2}." if 180 <= bound[0] <= 360 else ""
+                )
+                raise ValueError(f"hsv: {name} must be (h 0...179, s 0...255, v 0...255), got {bound}.{degrees}")
         for i, name in ((1, "saturation"), (2, "value")):
             if self.low[i] > self.high[i]:
                 raise ValueError(
@@ -176,6 +183,15 @@ class HSVRange(ColourRule, kind="hsv"):
             return _in_range(hsv, self.low, self.high)
         mask = _in_range(hsv, self.low, (HUES - 1, *self.high[1:]))
         return mask | _in_range(hsv, (0, *self.low[1:]), self.high)
+
+
+def _from_fractions(bound: Any) -> tuple[int, ...] | None:
+    """Return a colour given as 0...1 on OpenCV's scale; None if it has no fractions, or more than fractions."""
+    values = list(bound) if isinstance(bound, (tuple, list, np.ndarray)) else []
+    numbers = len(values) == 3 and all(isinstance(value, (int, float)) and 0 <= value <= 1 for value in values)
+    if not numbers or all(float(value).is_integer() for value in values):
+        return None
+    return tuple(round(value * scale) for value, scale in zip(values, (HUES - 1, 255, 255), strict=True))
 
 
 def _in_range(hsv: npt.NDArray[Any], low: tuple[int, int, int], high: tuple[int, int, int]) -> npt.NDArray[np.uint8]:

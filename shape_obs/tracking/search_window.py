@@ -116,7 +116,7 @@ class RegionSearch:
         if self.mask is None:
             assert rule is not None
             if rule.whole_image:
-                region = cut_region(self._whole_mask(rule), window, rule, self.roi)
+                region = cut_region(self.whole_mask(rule), window, rule, self.roi)
             else:
                 region = segment(frame, window, rule, self.roi, width)
         else:
@@ -128,7 +128,7 @@ class RegionSearch:
             return self.region(rule)
         return region
 
-    def _whole_mask(self, rule: Segmentation) -> npt.NDArray[np.uint8]:
+    def whole_mask(self, rule: Segmentation) -> npt.NDArray[np.uint8]:
         """Return the mask of the whole image; rules that differ only in their clean-up share it."""
         assert self.frame.size is not None
         bare = replace(rule, open=0, close=0, min_area=1, min_share=0.0)

@@ -104,7 +104,10 @@ def test_a_shape_that_is_not_there_is_reported(photo, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["detect", "{photo}"], "give exactly one of --config FILE, --hsv ... or --pick u,v"),
+        (
+            ["detect", "{photo}"],
+            "give exactly one of --config FILE, --hsv ..., --segmentation module:function or --pick u,v",
+        ),
         (["detect", "{photo}", "--pick", "middle"], "--pick: expected u,v such as 300,123, got 'middle'"),
         (["detect", "{photo}", "--pick", "900,5"], "pixel (900, 5) lies outside the image of 320 x 240"),
         (["detect", "{photo}", "--pick", "5,5"], "of the image looks like pixel (5, 5)"),

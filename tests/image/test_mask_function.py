@@ -216,7 +216,7 @@ def test_a_function_of_the_script_itself_is_not_saved_to_a_file(tmp_path):
     [
         ("my_masks:bleu", ValueError, "segmentation: module 'my_masks' has no 'bleu'; did you mean 'blue'?"),
         ("no_such_module:blue", ImportError, "segmentation: cannot import 'no_such_module': No module named"),
-        ("my_masks:Blue", ValueError, r"expected a function \(rgb, depth\) -> mask as my_masks:Blue, got <class .*of a"),
+        ("my_masks:Blue", ValueError, r"expected a function \(rgb, depth\) -> mask as my_masks:Blue, got <class .*of"),
         ("my_masks:number", ValueError, r"expected a function \(rgb, depth\) -> mask as my_masks:number, got 3"),
         ("my_masks.py:blue:", SpecError, "expected module:function, such as my_lab.masks:rope, got 'my_masks."),
         ("./my_masks:blue", SpecError, "expected module:function, such as my_lab.masks:rope, got './my_masks:blue'"),
