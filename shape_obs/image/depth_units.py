@@ -9,10 +9,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.frame import MILLIMETRE
+from shape_obs.frame import FARTHEST, MILLIMETRE
 from shape_obs.image.region import Region
 
-NEAREST, FARTHEST_OBJECT = 0.05, 20.0  # metres: an object lies nearer or farther only if the unit is wrong
+_NEAR, _FAR = 0.05, 20.0  # metres: an object lies nearer or farther only if the unit is wrong
 _LEAST, _LARGEST = 0.005, 20.0  # metres: the same of the size of a cloud
 _TRIES: Final = 30  # frames whose mask has no depth at all, after which it is looked at no more
 _SOME: Final = 2000  # values whose median is taken
@@ -96,9 +96,9 @@ def middle_depth(values: npt.NDArray[Any]) -> float | None:
     """Return the median of depth values in metres; None if none is valid.
 
     Args:
-        values: ``(M,)`` uint16 millimetres or floating metres; 0, negative and non-finite are invalid.
+        values: ``(M,)`` uint16 millimetres or floating metres; 0, negative, non-finite and absurd are invalid.
     """
-    valid = values[(values > 0) & np.isfinite(values)]
+    valid = values[(values > 0) & (values < FARTHEST)]
     if not len(valid):
         return None
     middle = float(np.median(valid[:: -(-len(valid) // _SOME)]))
@@ -112,11 +112,11 @@ def depth_problem(distance: float, dtype: np.dtype[Any]) -> str:
         distance: In metres, as the depth was read.
         dtype: Of the depth: uint16 or floating.
     """
-    if NEAREST <= distance <= FARTHEST_OBJECT:
+    if _NEAR <= distance <= _FAR:
         return ""
     whole = dtype.kind == "u"
     read = "uint16 depth is read as millimetres" if whole else "floating depth is read as metres"
     for unit, factor, advice in _WHOLE if whole else _FLOATING:
-        if NEAREST <= distance * factor <= FARTHEST_OBJECT:
+        if _NEAR <= distance * factor <= _FAR:
             return f": {read}, but these look like {unit}; {advice}"
     return f": {read}; check the unit"

@@ -68,8 +68,8 @@ def why_empty(rule: Segmentation, frame: Frame, mask: npt.NDArray[np.uint8] | No
     narrow = window != whole or type(roi).blank is not ROI.blank
     parts = [f"{inside} of {window.width * window.height} pixels match {rule.label}"]
     if inside >= MIN_SAMPLES:
-        opened = f", which open={rule.open} removes or" if rule.open > 1 else ""
-        parts[0] += f"{opened} which lie in pieces of fewer than {rule.min_area} pixels (min_area)"
+        opened = f"open={rule.open} removes or which " if rule.open > 1 else ""
+        parts[0] += f", which {opened}lie in pieces of fewer than {rule.min_area} pixels (min_area)"
     if narrow and outside >= _ENOUGH * max(rule.min_area, MIN_SAMPLES):
         parts.append(f"{outside} pixels outside the region of interest match")
     for text, other, image in _variants(rule, frame.rgb):

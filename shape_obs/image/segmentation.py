@@ -166,10 +166,10 @@ class HSVRange(ColourRule, kind="hsv"):
         super().__post_init__()
         for name, bound in (("low", self.low), ("high", self.high)):
             if len(bound) != 3 or any(not 0 <= value <= limit for value, limit in zip(bound, top, strict=True)):
-                degrees = (
-                    f" In degrees a hue is twice OpenCV's: give {bound[0] // 2}." if 180 <= bound[0] <= 360 else ""
-                )
-                raise ValueError(f"hsv: {name} must be (h 0...179, s 0...255, v 0...255), got {bound}.{degrees}")
+                text = f"hsv: {name} must be (h 0...179, s 0...255, v 0...255), got {bound}."
+                if HUES <= bound[0] <= 2 * HUES:
+                    text += f" If its hue is in degrees, give {bound[0] // 2}, half of it."
+                raise ValueError(text)
         for i, name in ((1, "saturation"), (2, "value")):
             if self.low[i] > self.high[i]:
                 raise ValueError(
