@@ -18,7 +18,7 @@ from shape_obs.geometry.topology import Chain, Topology
 
 @dataclass(frozen=True)
 class Chord(Feature, kind="chord"):
-    """Describe a rope by the line between its ends: its middle (2), its direction (2), and the largest distance from it.
+    """Describe a rope by the line between its ends: middle (2), direction (2), and the rope's largest distance from it.
 
     Lengths are shares of the image's width, so that the bounds depend on nothing that is measured.
 
