@@ -88,7 +88,7 @@ class Segmentation(Spec, family="segmentation", modules=_MODULES):
         return mask
 
     @abstractmethod
-    def threshold(self, frame: Frame, window: Window) -> npt.NDArray[np.uint8]:
+    def threshold(self, frame: Frame, window: Window) -> npt.NDArray[Any]:
         """Return the mask of the bare rule: ``(h, w)`` bool or uint8, 0 and 1 or 0 and 255."""
 
     @property

@@ -64,10 +64,8 @@ def wrapped(feature: Any = "test_own") -> ShapeObservation:
 )
 def test_wrong_bounds_are_an_error_when_the_wrapper_is_made(bounds, error, message):
     SWITCH["bounds"] = bounds
-    with (
-        np.errstate(over="ignore"),
-        pytest.raises(error, match=f"feature 'test_own' of shape 'centerline': .*{message}"),
-    ):
+    name = "feature 'test_own' of shape 'centerline'"
+    with np.errstate(over="ignore"), pytest.raises(error, match=f"{name}: .*{message}"):
         wrapped()
 
 
@@ -102,7 +100,7 @@ def test_a_feature_without_a_kind_is_named_by_its_class():
     assert env.detection is not None
     vector = FeatureVector([Unnamed()], env.detector.shapes, FeatureContext(160, 120))
     SWITCH["compute"] = np.zeros(3)
-    with pytest.raises(ValueError, match="^feature 'Unnamed' of shape 'centerline': compute"):
+    with pytest.raises(ValueError, match=r"^feature 'Unnamed' of shape 'centerline': compute"):
         vector.compute(env.detection.shapes, env.contexts)
 
 
@@ -121,7 +119,7 @@ def test_whole_numbers_flags_and_single_precision_are_values(values):
             "feature 'test_own' of shape 'centerline': value 1 is nan though all points of the shape are known, and is "
             "replaced by the middle of its bounds. This warning is shown once.",
         ),
-        (np.array([-np.inf, 0.5]), [0.5, 0.5], "'centerline': value 0 is -inf though all points of the shape are known"),
+        (np.array([-np.inf, 0.5]), [0.5, 0.5], "'centerline': value 0 is -inf though all points of the shape are"),
         (
             np.array([0.5, 7.0]), [0.5, 1.0],
             "features: 1 of 3 values lie outside their bounds and are clipped, first value 1 of feature 'test_own' of "

@@ -53,6 +53,7 @@ def by_function(rgb, depth):
 @dataclass(frozen=True)
 class Threshold(Segmentation, kind="test_threshold"):
     def threshold(self, frame, window):
+        assert frame.rgb is not None
         return SWITCH["make"](is_blue(frame.rgb[window.slices].astype(int)))
 
 
@@ -62,6 +63,7 @@ class Apply(Segmentation, kind="test_apply"):
         raise AssertionError
 
     def apply(self, frame, window):
+        assert frame.rgb is not None
         return SWITCH["make"](is_blue(frame.rgb[window.slices].astype(int)))
 
 

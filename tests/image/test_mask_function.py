@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -65,11 +66,8 @@ class Recorder:
 
 def test_it_is_called_once_for_each_frame_and_with_the_whole_image(blue):
     record = Recorder()
-    shapes = [
-        Centerline(),
-        Contour(segmentation={"kind": "callable", "function": record, "close": 5}),
-        Centerline(name="more", count=2, segmentation={"kind": "callable", "function": record, "min_share": 0.5}),
-    ]
+    rules: Any = {"kind": "callable", "function": record, "close": 5}, MaskFunction(record, min_share=0.5)
+    shapes = [Centerline(), Contour(segmentation=rules[0]), Centerline(name="more", count=2, segmentation=rules[1])]
     roi = Rectangle(10, 10, 300, 220)
     detector = ShapeDetector(shapes, record, roi=roi)
     depth = np.full(blue.shape[:2], 700, np.uint16)
@@ -112,6 +110,7 @@ def test_a_subclass_can_read_the_whole_image_too(blue):
 
         def threshold(self, frame, window):
             windows.append(window)
+            assert frame.rgb is not None
             return is_blue(frame.rgb, None)[window.slices]
 
     detector = ShapeDetector(segmentation=Network())
@@ -173,7 +172,7 @@ class Model:
     [lambda rgb, depth: is_blue(rgb, depth), nested(), Model(), Model().segment, partial(at_least, 60)],
     ids=["lambda", "nested", "object", "method", "partial"],
 )
-def test_what_has_no_import_path_works_in_a_detector_but_cannot_be_saved(blue, function, tmp_path):
+def test_what_has_no_import_path_works_in_a_detector_but_cannot_be_saved(blue, function: Any, tmp_path):
     detector = ShapeDetector(["centerline"], function)
     for _ in range(2):
         assert detector.detect(blue).ok
@@ -189,10 +188,11 @@ def test_what_has_no_import_path_works_in_a_detector_but_cannot_be_saved(blue, f
 
 
 def test_it_does_not_change_the_schema_of_a_policy():
+    own: Any = is_blue, lambda rgb, depth: None
     schema = schema_hash({"segmentation": BLUE})
-    assert schema_hash({"segmentation": lambda rgb, depth: None}) == schema
-    assert schema_hash({"shapes": [Centerline(segmentation=is_blue)]}) == schema
-    assert schema_hash({"shapes": [Centerline(segmentation=lambda rgb, depth: None)]}) == schema
+    for function in own:
+        assert schema_hash({"segmentation": function}) == schema
+        assert schema_hash({"shapes": [Centerline(segmentation=function)]}) == schema
 
 
 def test_a_function_of_the_script_itself_is_not_saved_to_a_file(tmp_path):

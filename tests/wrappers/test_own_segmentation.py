@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -14,6 +15,7 @@ from rope_env import BLUE, RopeEnv
 
 from shape_obs import Centerline, ShapeObservation, SpecError
 from shape_obs.config.detector_config import DetectorConfig
+from shape_obs.image.mask_function import MaskFunction
 
 MODULE = """
 import numpy as np
@@ -103,9 +105,9 @@ def test_a_function_without_an_import_path_is_refused_when_the_wrapper_is_made(a
     def mask(rgb, depth):
         return rgb[..., 2] > 100
 
-    given = {
+    given: Any = {
         "segmentation": {"segmentation": mask},
-        "shape": {"shapes": [Centerline(segmentation=mask)]},
+        "shape": {"shapes": [Centerline(segmentation=MaskFunction(mask))]},
         "mapping": {"shapes": [{"kind": "centerline", "segmentation": mask}]},
     }[arguments]
     with pytest.raises(SpecError, match=r"segmentation: <function .* cannot be saved or recorded, since it has no"):
@@ -131,7 +133,9 @@ class TestWithoutSegmentation:
         with pytest.raises(ValueError, match=self.MESSAGE):
             ShapeObservation(RopeEnv())
         with pytest.raises(ValueError, match="ShapeObservation: shape 'b' has no segmentation"):
-            ShapeObservation(RopeEnv(), [Centerline(name="a", segmentation=BLUE), Centerline(name="b")])
+            ShapeObservation(
+                RopeEnv(), [{"kind": "centerline", "name": "a", "segmentation": BLUE}, Centerline(name="b")]
+            )
         with pytest.raises(ValueError, match="ShapeObservation: shape 'rope' has no segmentation"):
             ShapeObservation(RopeEnv(), [Centerline(name="rope", count=2)])
 
@@ -149,7 +153,7 @@ class TestWithoutSegmentation:
 
     def test_a_segmentation_of_the_env_or_of_each_shape_is_enough(self):
         assert ShapeObservation(Publishing()).reset()[1]["shape/ok"]
-        assert ShapeObservation(RopeEnv(), [Centerline(segmentation=BLUE)]).reset()[1]["shape/ok"]
+        assert ShapeObservation(RopeEnv(), [{"kind": "centerline", "segmentation": BLUE}]).reset()[1]["shape/ok"]
 
 
 def test_a_detector_still_takes_masks_without_a_segmentation():
