@@ -39,8 +39,9 @@ def checked_mask(mask: Any, size: tuple[int, int] | None, whose: str) -> npt.NDA
     if mask.dtype != _BYTE:
         _check_values(mask, whose)
         return np.not_equal(mask, 0).view(np.uint8)
-    # 0 and 1 need one pass over the mask. Adding 1 turns 255 into 0, so that 0 and 255 need only another one.
-    if (highest := mask.max()) > 1 and (highest < _FULL or (mask + np.uint8(1)).max() > 1):
+    # As signed bytes 255 is -1, so the lowest and the highest value are enough to recognise a mask.
+    low, high = (signed := mask.view(np.int8)).min(), signed.max()
+    if low < -1 or high > 1 or low < 0 < high:
         _check_values(mask, whose)
     return mask
 

@@ -63,7 +63,7 @@ class Segmentation(Spec, family="segmentation", modules=_MODULES):
         path = isinstance(value, str) and ":" in value
         if path or (callable(value) and not isinstance(value, (Segmentation, type))):
             value = {"kind": "callable", "function": value}
-        return super().from_dict(value)
+        return super().from_dict(value)  # type: ignore[arg-type]
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.envs.registration import EnvSpec
+from gymnasium.envs.registration import EnvSpec, WrapperSpec
 from rope_env import BLUE, RopeEnv
 
 from shape_obs import Centerline, ShapeObservation, SpecError
@@ -142,12 +142,10 @@ class TestWithoutSegmentation:
     def test_gym_make_raises_too(self, rope):
         spec = ShapeObservation(rope(), segmentation=BLUE).spec
         assert spec is not None
-        kwargs = {name: value for name, value in spec.additional_wrappers[-1].kwargs.items() if name != "segmentation"}
-        assert spec.additional_wrappers[-1].name == "ShapeObservation"
-        spec.additional_wrappers = (
-            *spec.additional_wrappers[:-1],
-            type(spec.additional_wrappers[-1])("ShapeObservation", spec.additional_wrappers[-1].entry_point, kwargs),
-        )
+        *others, own = spec.additional_wrappers
+        assert own.name == "ShapeObservation"
+        kwargs = {name: value for name, value in (own.kwargs or {}).items() if name != "segmentation"}
+        spec.additional_wrappers = (*others, WrapperSpec(own.name, own.entry_point, kwargs))
         with pytest.raises(ValueError, match=self.MESSAGE):
             gym.make(spec)
 
