@@ -27,11 +27,12 @@ Table = npt.NDArray[np.uint64]
 
 LEVELS: Final = 256  # of a colour channel
 _KEPT: Final = 16  # tables, 2 MB each
-_MODULES: Final = {"callable": "shape_obs.image.mask_function"}
+#: Kinds that other modules define.
+_ELSEWHERE: Final = {"callable": "shape_obs.image.mask_function", "click": "shape_obs.image.clicked_colours"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Segmentation(Spec, family="segmentation", modules=_MODULES):
+class Segmentation(Spec, family="segmentation", modules=_ELSEWHERE):
     """A pixel rule with its clean-up.
 
     A subclass whose ``whole_image`` is True has its ``threshold`` called once for each frame with a window of the whole
