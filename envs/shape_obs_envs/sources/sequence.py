@@ -174,9 +174,11 @@ class FolderSource(SequenceSource):
             photos = (path for path in self.path.iterdir() if path.suffix.lower() in PHOTOS and path.is_file())
             self._frames = sorted(photos, key=_natural_order)
             if not self._frames:
+                bags = any(path.suffix in (".mcap", ".db3") for path in self.path.iterdir())
+                hint = " For a rosbag2 without its metadata.yaml run `ros2 bag reindex`." if bags else ""
                 raise BadRecording(
                     f"{self.path}: expected a recording ({CAMERA_FILE}, {FRAMES_FILE}, rgb/) or images "
-                    f"({', '.join(PHOTOS)}), found neither."
+                    f"({', '.join(PHOTOS)}), found neither.{hint}"
                 )
         first, count = self._part or (0, len(self._frames))
         if first + count > len(self._frames):
