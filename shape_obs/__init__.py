@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from shape_obs.features import Feature as Feature
     from shape_obs.frame import Frame as Frame
     from shape_obs.image.marker_roi import Markers as Markers
+    from shape_obs.image.mask_function import MaskFunction as MaskFunction
     from shape_obs.image.roi import ROI as ROI
     from shape_obs.image.roi import Polygon as Polygon
     from shape_obs.image.roi import Rectangle as Rectangle
@@ -67,6 +68,7 @@ _HOME = {
     "shape_obs.markers": ("MarkerLayout", "TopView", "find_markers"),
     "shape_obs.tracking.missing": ("ShapeLostError",),
     "shape_obs.image.marker_roi": ("Markers",),
+    "shape_obs.image.mask_function": ("MaskFunction",),
     "shape_obs.image.roi": ("ROI", "Polygon", "Rectangle", "Whole"),
     "shape_obs.image.segmentation": ("ColourRule", "DepthRange", "GrayRange", "HSVRange", "Segmentation"),
     "shape_obs.shape": ("Detection", "Shape"),

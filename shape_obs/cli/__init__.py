@@ -51,6 +51,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     if command not in COMMANDS:
         print(f"shape-obs: unknown command {command!r}{did_you_mean(command, COMMANDS)}", file=sys.stderr)
         sys.exit(2)
+    if "" not in sys.path:
+        sys.path.append("")  # module:Name may lie in the current folder, as with ``python -m``
     prog = " ".join(["shape-obs", command, *rest[:1]] if command in _GROUPS else ["shape-obs", command])
     try:
         status = import_module(f"shape_obs.cli.{command.replace('-', '_')}").main(rest)

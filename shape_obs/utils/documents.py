@@ -197,3 +197,8 @@ def make_named(text: str, what: str, arguments: Mapping[str, Any] | None = None)
         return maker(**(arguments or {}))
     except TypeError as error:
         raise ValueError(f"{what}: {text} does not take {dict(arguments or {})}: {error}") from error
+
+
+def is_of_script(path: str) -> bool:
+    """Return whether ``module:Name`` is in the script or notebook that runs, where no other program finds it."""
+    return path.startswith("__main__:")

@@ -25,6 +25,8 @@ EXPECTED = {
     "servo_robot.py": "goal            reached",
     "deploy_policy.py": "reads points3d every 0.05 s",
     "log_rerun.py": "found in 54 of 60 frames",
+    "own_feature.py": "ok: True and within the bounds: True",
+    "own_clusterer.py": "quantiles            ok: True, off by at most 1.0 px",
     "features_offline.py": "pca, aligned    11 values, points back within  ",
 }
 # Run in small by test_train_examples.py.
