@@ -164,6 +164,7 @@ class _Run:
                     self._log.report(self.report.to_dict())
         if self._record is not None and self._robot_env.frame is not None:  # the frame after the last step
             self._record.frame(self._robot_env.frame, self._robot_env.robot.state())
+            self._record.write()
         return self.report
 
     def _loop(self, steps: int | None, seconds: float | None, until_reached: int) -> tuple[str, bool]:

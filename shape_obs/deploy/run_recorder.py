@@ -42,6 +42,7 @@ class RunRecorder:
         self._writer: RecordingWriter | None = None
         self._robot: Any = None
         self._episode, self._last = -1, Transition(0)
+        self._noted: Moment | None = None
 
     def begin(self, robot_env: Any) -> None:
         """Begin an episode, after the reset of ``ShapeObs/D455-v0``; the first one makes the folder.
@@ -50,7 +51,8 @@ class RunRecorder:
             OSError: The folder cannot be written to.
         """
         self._robot, source = robot_env.robot, robot_env.source
-        self._episode, self._last = self._episode + 1, Transition(0)
+        self._episode, self._last, self._noted = self._episode + 1, Transition(0), None
+        robot_env.on_sent = self.write
         if self._writer is None:
             spec = self._robot.action_spec
             self._writer = RecordingWriter(
@@ -63,22 +65,31 @@ class RunRecorder:
             )
 
     def frame(self, frame: Frame | None, state: npt.ArrayLike) -> None:
-        """Add a frame with the state of the robot, and the step that led to it; None adds nothing.
+        """Note a frame with the state of the robot, and the step that led to it; ``write`` writes it.
 
         Args:
-            frame: The frame that the controller sees.
+            frame: The frame that the controller sees; None if there is none.
             state: ``(A,)`` state of the robot.
-
-        Raises:
-            OSError: An earlier frame could not be written.
         """
-        if frame is None or self._writer is None:
+        if frame is None:
             return
         anchors: Mapping[str, Sequence[float]] = dict(robot_anchors(self._robot))
         values = plain([*_flat(state), *measured(self._robot).values()])
         self._recorded.count(frame)
-        moment = Moment(frame, anchors, self._episode, self._last, values)
-        self._recorded.dropped += not self._writer.add(moment, wait=False)
+        self._noted = Moment(frame, anchors, self._episode, self._last, values)
+
+    def write(self) -> None:
+        """Hand the frame that was noted to the threads.
+
+        The environment calls it after each action was sent: images are encoded while the loop waits for the next frame,
+        and not while the controller computes.
+
+        Raises:
+            OSError: An earlier frame could not be written.
+        """
+        noted, self._noted = self._noted, None
+        if noted is not None and self._writer is not None:
+            self._recorded.dropped += not self._writer.add(noted, wait=False)
 
     def step(self, action: npt.ArrayLike | None, reward: Any, terminated: bool, truncated: bool) -> None:
         """Store what leads to the next frame: an action ``(A,)`` in -1 ... 1, or None where the robot stood still."""
@@ -94,6 +105,7 @@ class RunRecorder:
         Raises:
             OSError: A frame could not be written.
         """
+        self.write()
         writer, recorded = self._writer, self._recorded
         if writer is not None:
             writer.close(missed=recorded.missed, dropped=recorded.dropped, stopped=recorded.stopped)
