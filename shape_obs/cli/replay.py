@@ -37,7 +37,7 @@ class Arguments:
     parquet: Path | None = None
     """Write the shapes as a Parquet table (needs the extra 'parquet')."""
     video: Path | None = None
-    """Write the frames with the shapes drawn over them: .mp4 or .avi."""
+    """Write the frames with the shapes drawn over them: .mp4 (H.264 with the extra 'video'), .avi or .gif."""
     frames: int | None = None
     """Largest number of frames."""
     extrinsics: Path | None = None

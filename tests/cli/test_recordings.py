@@ -172,7 +172,10 @@ def test_an_interrupted_recording_is_replayed_with_a_word_about_it(place, record
         (["replay", "photos"], "give --config FILE to detect with, or --verify"),
         (["replay", "photos", "--config", "pixels.yaml", "--csv", "s.npz"], "--csv: expected a file named *.csv"),
         (["replay", "photos", "--config", "pixels.yaml", "--csv", "notes.txt/s.csv"], "cannot make the output folder"),
-        (["replay", "photos", "--config", "pixels.yaml", "--video", "s.gif"], "expected a video named *.mp4 or *.avi"),
+        (
+            ["replay", "photos", "--config", "pixels.yaml", "--video", "s.mkv"],
+            "expected a video named *.mp4, *.avi, *.gif",
+        ),
         (["replay", "photos", "--config", "pixels.yaml", "--frames", "0"], "frames: expected 1 or more, got 0"),
         (["replay", "CartPole-v1", "--config", "pixels.yaml"], "CartPole-v1: the observation must be an RGB image"),
         (["record", "--source", "photos", "-o", "photos"], "photos: the folder is not empty"),
