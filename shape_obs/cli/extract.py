@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from shape_obs.cli.lerobot import PARTS, convert, prepare
 from shape_obs.cli.options import open_named, warnings_as_lines
 from shape_obs.utils.documents import parse_yaml
 
 if TYPE_CHECKING:
-    from shape_obs.extraction import Outcome
+    from shape_obs.extraction import Extraction, Outcome
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,15 @@ class Arguments:
     """Processes of this machine, or a Ray cluster (needs the extra 'ray')."""
     address: str | None = None
     """Address of the Ray cluster, 'auto' for the one this machine belongs to; default: start one on this machine."""
+    to: Literal["parquet", "lerobot"] = "parquet"
+    """'lerobot' also writes a LeRobot v3 dataset for imitation learning, with the Parquet files in its folder
+    'extraction'."""
+    task: str | None = None
+    """With --to lerobot: what is done in the episodes, in words; default: 'move the' and the names of the shapes."""
+    videos: bool = False
+    """With --to lerobot: encode the camera's images as H.264 (needs the extra 'video')."""
+    fps: float | None = None
+    """With --to lerobot: frames per second; default: the median rate of the stamps."""
     json: bool = False
     """Print the summary as JSON."""
 
@@ -66,7 +76,12 @@ def main(argv: Sequence[str]) -> int:
     if args.extrinsics is not None and not args.extrinsics.is_file():
         raise FileNotFoundError(f"--extrinsics: {args.extrinsics}: no such file.")
     tasks = all_tasks(recordings(args.source))
-    job = Extraction(config, args.out, open_named, args.extrinsics, args.frames)
+    if args.to == "lerobot":
+        prepare(args, config, tasks)
+    elif args.task is not None or args.videos or args.fps is not None:
+        raise ValueError("--task, --videos and --fps belong to --to lerobot: add it, or leave them out.")
+    parts = args.out / PARTS if args.to == "lerobot" else args.out
+    job = Extraction(config, parts, open_named, args.extrinsics, args.frames)
     found: list[Outcome] = []
     with warnings_as_lines("shape-obs extract"):
         run = extract(job, tasks, engine=args.engine, jobs=args.jobs, address=args.address)
@@ -78,10 +93,11 @@ def main(argv: Sequence[str]) -> int:
                 found.append(outcome)
                 if outcome.status == "failed":
                     bar.write(f"failed: {outcome.task.source}: {outcome.reason}", file=sys.stderr)
+        written = convert(args, job, tasks) if args.to == "lerobot" else {}
         for text in sorted({text for outcome in found for text in outcome.warnings}):
             print(f"shape-obs extract: {text}", file=sys.stderr)
     found.sort(key=lambda outcome: (outcome.task.source, outcome.task.index))
-    result = _result(args, found)
+    result = {**_result(job, found), **written}
     print(json.dumps(result) if args.json else summary(result))
     return int(bool(result["failed"]))
 
@@ -118,10 +134,14 @@ def summary(result: dict[str, Any]) -> str:
         *(f"failed          {failure['source']}: {failure['reason']}" for failure in result["failed"]),
         f"wrote           {result['files']} files in {result['out']}",
     ]
+    if "lerobot" in result:
+        made = result["lerobot"]
+        lines.append(f"lerobot         {made['episodes']} episodes, {made['frames']} frames at {made['fps']:g} Hz")
+        lines += [f"  {name:<32} {' x '.join(map(str, shape))}" for name, shape in made["features"].items()]
     return "\n".join(lines)
 
 
-def _result(args: Arguments, found: Sequence[Outcome]) -> dict[str, Any]:
+def _result(job: Extraction, found: Sequence[Outcome]) -> dict[str, Any]:
     status, ok = Counter(outcome.status for outcome in found), Counter[str]()
     for outcome in found:
         ok.update(outcome.ok)
@@ -135,7 +155,7 @@ def _result(args: Arguments, found: Sequence[Outcome]) -> dict[str, Any]:
             {"source": outcome.task.source, "index": outcome.task.index, "reason": outcome.reason} for outcome in failed
         ],
         "files": len(found) - len(failed),
-        "out": str(args.out),
+        "out": str(job.out),
     }
 
 
