@@ -69,13 +69,11 @@ def step_columns(
 
 def absent(columns: Mapping[str, Column]) -> dict[str, npt.NDArray[np.bool_]]:
     """Return for each column of ``step_columns`` in a table which rows ``(F,)`` hold nothing."""
-    found = {name: columns[name] for name in STEP_COLUMNS if name in columns}
-    empty = {name: np.isnan(found[name]).all(axis=1) for name in VECTORS if name in found}
-    if "reward" in found:
-        empty |= dict.fromkeys(("reward", "terminated", "truncated"), np.isnan(found["reward"]))
-    if "step" in found:
-        empty["step"] = found["step"] < 0
-    return {name: rows for name, rows in empty.items() if name in found}
+    if "step" not in columns:
+        return {}
+    unknown = np.isnan(columns["reward"])
+    empty = {name: np.asarray(np.isnan(columns[name]).all(axis=1)) for name in VECTORS}
+    return {"step": columns["step"] < 0, **dict.fromkeys(("reward", "terminated", "truncated"), unknown), **empty}
 
 
 def _width(name: str, vectors: Sequence[tuple[float, ...] | None]) -> int:

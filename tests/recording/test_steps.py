@@ -134,7 +134,8 @@ def test_recordings_of_earlier_versions_have_no_steps(recorded, tmp_path):
     (tmp_path / "old" / "camera.json").write_text(json.dumps(camera))
     lines = [json.loads(line) for line in (tmp_path / "old" / "frames.jsonl").read_text().splitlines()]
     for line in lines:
-        line.pop("transition", None), line.pop("state", None)
+        for name in ("transition", "state"):
+            line.pop(name, None)
     (tmp_path / "old" / "frames.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     old = Recording(tmp_path / "old")
     assert (old.robot, old[2].transition, old[2].state) == (None, None, None)
@@ -178,7 +179,7 @@ def test_actions_of_any_space_become_numbers(space, action, values, names):
     env.action_space = space
     env.step = lambda given: RopeEnv.step(env, np.zeros(1))  # type: ignore[method-assign]
     with EnvSource(env, actions=lambda _: action) as source:
-        source.read(), source.read()
+        assert (source.read().number, source.read().number) == (0, 1)
         assert source.robot_info.action == names
         assert source.transition is not None
         assert source.transition.action == values

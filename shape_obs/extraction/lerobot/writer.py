@@ -91,7 +91,7 @@ class LeRobotWriter:
         columns = {**episode.columns, **{name: column.astype(INDICES[name]) for name, column in indices.items()}}
         table = self._arrow.table({name: self._array(column) for name, column in columns.items()})
         if self._file is None or self._bytes + table.nbytes > _DATA_MB * 2**20:
-            self._next_file(table.schema)
+            self._file = self._next_file(table.schema)
         self._file.write_table(table)
         self._bytes += table.nbytes
         statistics = {name: column_statistics(column) for name, column in columns.items()}
@@ -154,13 +154,13 @@ class LeRobotWriter:
         shapes = {name: tuple(feature["shape"]) for name, feature in self._features.items()}
         return LeRobotSummary(len(self._episodes), self._rows, self._fps, shapes)
 
-    def _next_file(self, schema: Any) -> None:
+    def _next_file(self, schema: Any) -> Any:
         if self._file is not None:
             self._file.close()
         self._number, self._bytes = self._number + 1, 0
         path = self._folder / _DATA.format(chunk_index=self._number // _CHUNK, file_index=self._number % _CHUNK)
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = self._parquet.ParquetWriter(path, schema)
+        return self._parquet.ParquetWriter(path, schema)
 
     def _array(self, column: Any) -> Any:
         flat = self._arrow.array(np.ascontiguousarray(column).ravel())

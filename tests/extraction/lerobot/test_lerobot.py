@@ -15,27 +15,18 @@ pytest.importorskip("pyarrow")
 pytest.importorskip("mujoco")
 
 import pyarrow
+from lerobot_files import array, read, rows, run
 from pyarrow import parquet
-from scripted_source import Script
 
-from shape_obs import CameraModel, Frame, Intrinsics, ShapeDetector, save_config
+from shape_obs import ShapeDetector, save_config
 from shape_obs.cli import main
 from shape_obs.config.config_file import detector_arguments, load_config
-from shape_obs.recording import Moment, Recording, RecordingWriter, RobotInfo, Transition, record, replay
-from shape_obs.robot import ActionSpec
+from shape_obs.recording import Moment, Recording, RecordingWriter, record, replay
 from shape_obs_envs.sources import open_source
 
 N, LENGTH = 8, 5
 ROPE = {"kind": "centerline", "name": "rope", "n": N, "anchor": "gripper0", "ends": "tips", "spacing": "m"}
 BLUE = {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}
-
-
-def run(capsys, *arguments):
-    """Return (exit code, parsed output of --json or None, stderr) of the command, run in this process."""
-    with pytest.raises(SystemExit) as stop:
-        main(["extract", *map(str, arguments), "--json"])
-    captured = capsys.readouterr()
-    return stop.value.code, json.loads(captured.out) if captured.out else None, captured.err
 
 
 @pytest.fixture(scope="module")
@@ -64,18 +55,6 @@ def made(place):
         main([*command, "--task", "shape the rope", "-o", str(place / "made")])
     assert stop.value.code == 0
     return place / "made"
-
-
-def read(made, name):
-    return json.loads((made / "meta" / f"{name}.json").read_text())
-
-
-def rows(made):
-    return parquet.read_table(made / "data" / "chunk-000" / "file-000.parquet")
-
-
-def array(table, name):
-    return np.asarray(table[name].to_pylist())
 
 
 def test_the_files_are_those_of_the_format(made):
@@ -127,7 +106,7 @@ def test_rows_are_shapes_with_the_action_that_was_chosen_for_them(place, made):
             rope, step = detection["rope"], after.transition
             assert step is not None
             assert rope.valid.all()
-            assert np.abs(states[at][: 3 * N] - np.ravel(rope.points3d)).max() < 1e-6
+            assert np.abs(states[at][: 3 * N] - np.ravel(np.asarray(rope.points3d))).max() < 1e-6
             assert np.array_equal(states[at][3 * N :], np.asarray(moment.state, np.float32))
             assert np.array_equal(actions[at], np.asarray(step.action, np.float32))
             assert table["next.reward"][at].as_py() == np.float32(step.reward)
@@ -214,48 +193,6 @@ def test_a_second_run_keeps_the_shapes_and_replaces_the_dataset(place, made, tmp
     assert {name: (out / "extraction" / name).stat().st_mtime_ns for name in before} == before
     assert read(out, "info")["fps"] == 10
     assert sorted(path.name for path in out.iterdir()) == ["data", "extraction", "meta"]
-
-
-def write_run(folder, spec, transitions):
-    """Record frames of a drawn rope with the given steps; the state of the robot is (0.1, 0.2)."""
-    intrinsics = Intrinsics(96, 72, 90.0, 90.0, 47.5, 35.5)
-    rgb, depth = np.full((72, 96, 3), 200, np.uint8), np.full((72, 96), 700, np.uint16)
-    cv2.line(rgb, (15, 30), (80, 40), (20, 60, 200), 5)
-    frames = [Frame(rgb, depth, CameraModel(intrinsics), i / 10, number=i) for i in range(len(transitions))]
-    source = Script(frames)
-    source.camera = CameraModel(intrinsics)
-    with RecordingWriter(folder, source, robot=RobotInfo("arm", spec.names, spec.names, spec)) as writer:
-        for frame, transition in zip(frames, transitions, strict=True):
-            writer.add(Moment(frame, {}, 0, transition, (0.1, 0.2)))
-
-
-@pytest.mark.parametrize(("mode", "still"), [("displacement", [0.0, 0.0]), ("position", [0.5, 1.0])])
-def test_where_nothing_was_sent_the_action_keeps_the_robot_still(tmp_path, capsys, mode, still):
-    spec = ActionSpec(("x", "y"), ("m", "m"), (0.2, 0.2), (-1.0, -1.0), (1.0, 1.0), mode=mode)
-    steps = [Transition(1, (0.5, -0.5), 0.0), Transition(2, None, 0.0), Transition(3, (1.0, 0.0), 1.0, True)]
-    write_run(tmp_path / "run", spec, [Transition(0), *steps])
-    save_config(tmp_path / "c.yaml", {"shapes": [{"kind": "centerline", "n": N}], "segmentation": BLUE})
-    code, _, err = run(
-        capsys, tmp_path / "run", "--config", tmp_path / "c.yaml", "--to", "lerobot", "-o", tmp_path / "out"
-    )
-    assert code == 0, err
-    table = rows(tmp_path / "out")
-    assert array(table, "action").tolist() == [[0.5, -0.5], still, [1.0, 0.0]]
-    assert array(table, "next.done").tolist() == [False, False, True]
-    assert read(tmp_path / "out", "info")["fps"] == 10
-    assert np.allclose(array(table, "observation.state")[:, -2:], (0.1, 0.2))
-
-
-def test_frames_before_a_dropped_one_are_left_out_and_reported(tmp_path, capsys):
-    spec = ActionSpec(("x", "y"), ("m", "m"), (0.2, 0.2), (-1.0, -1.0), (1.0, 1.0))
-    write_run(tmp_path / "run", spec, [Transition(0), *(Transition(i, (i / 10, 0.0), 0.0) for i in (1, 3, 4))])
-    save_config(tmp_path / "c.yaml", {"shapes": [{"kind": "centerline", "n": N}], "segmentation": BLUE})
-    code, _, err = run(
-        capsys, tmp_path / "run", "--config", tmp_path / "c.yaml", "--to", "lerobot", "-o", tmp_path / "out"
-    )
-    assert code == 0
-    assert "1 frames are left out: the frame after them was dropped" in err
-    assert array(rows(tmp_path / "out"), "action")[:, 0].tolist() == [np.float32(0.1), np.float32(0.4)]
 
 
 def test_recordings_without_a_robot_give_observations_only(place, tmp_path, capsys):
