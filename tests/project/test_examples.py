@@ -24,6 +24,7 @@ EXPECTED = {
     "shape_servo.py": "4 of 4 goals within 10 mm",
     "servo_robot.py": "goal            reached",
     "deploy_policy.py": "reads points3d every 0.05 s",
+    "lerobot_dataset.py": "3 episodes, 75 rows at 20 Hz",
     "features_offline.py": "pca, aligned    11 values, points back within  ",
 }
 # Run in small by test_train_examples.py.
