@@ -12,11 +12,11 @@ from glob import glob, has_magic
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import tyro
-
-from shape_obs.cli.lerobot import PARTS, convert, prepare
+from shape_obs.cli.lerobot import PARTS, check_lerobot, convert, prepare
 from shape_obs.cli.options import open_named, warnings_as_lines
+from shape_obs.cli.parsing import Option, parse, wrong_usage
 from shape_obs.utils.documents import parse_yaml
+from shape_obs.utils.errors import UsageError
 
 if TYPE_CHECKING:
     from shape_obs.extraction import Extraction, Outcome
@@ -30,40 +30,44 @@ class Arguments:
     the dataset, and 1 if some failed: these are listed, and written to _failures.json.
     """
 
-    source: Annotated[tuple[str, ...], tyro.conf.Positional]
+    source: Annotated[tuple[str, ...], Option("RECORDING ...", positional=True)]
     """Recorded folders, folders of images, .db3, .bag and video files, folders that contain these, or patterns."""
-    config: Path
+    config: Annotated[Path, Option("FILE", "detection", existing="config file")]
     """A YAML config file."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    out: Annotated[Path, Option("FOLDER", "output", "-o")]
     """The dataset's folder."""
-    features: tuple[str, ...] = ()
+    features: Annotated[tuple[str, ...], Option("FEATURE ...", "detection")] = ()
     """Features, each a name or a YAML mapping; replaces those of the config."""
-    frames: int | None = None
+    frames: Annotated[int | None, Option("N", "source", least=1)] = None
     """Largest number of frames of each episode."""
-    extrinsics: Path | None = None
+    extrinsics: Annotated[Path | None, Option("FILE", "source", existing="file of extrinsics")] = None
     """A file with the pose of the camera in the base frame; replaces the recorded poses."""
-    jobs: int | None = None
+    jobs: Annotated[int | None, Option("N", "processing", least=1)] = None
     """Number of episodes processed at once; default: 1, or on Ray the number of processors."""
-    engine: Literal["local", "ray"] = "local"
+    engine: Annotated[Literal["local", "ray"], Option(group="processing")] = "local"
     """Processes of this machine, or a Ray cluster (needs the extra 'ray')."""
-    address: str | None = None
+    address: Annotated[str | None, Option("ADDRESS", "processing")] = None
     """Address of the Ray cluster, 'auto' for the one this machine belongs to; default: start one on this machine."""
-    to: Literal["parquet", "lerobot"] = "parquet"
+    to: Annotated[Literal["parquet", "lerobot"], Option(group="output")] = "parquet"
     """'lerobot' also writes a LeRobot v3 dataset for imitation learning, with the Parquet files in its folder
     'extraction'."""
-    task: str | None = None
-    """With --to lerobot: what is done in the episodes, in words; default: 'move the' and the names of the shapes."""
-    videos: bool = False
-    """With --to lerobot: encode the camera's images as H.264 (needs the extra 'video')."""
-    fps: float | None = None
-    """With --to lerobot: frames per second; default: the median rate of the stamps."""
-    json: bool = False
+    task: Annotated[str | None, Option("TEXT", "LeRobot")] = None
+    """What is done in the episodes, in words; default: 'move the' and the names of the shapes."""
+    videos: Annotated[bool, Option(group="LeRobot")] = False
+    """Encode the camera's images as H.264 (needs the extra 'video')."""
+    fps: Annotated[float | None, Option("HZ", "LeRobot", above=0, most=1000)] = None
+    """Frames per second; default: the median rate of the stamps."""
+    json: Annotated[bool, Option(group="output")] = False
     """Print the summary as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = tyro.cli(Arguments, args=list(argv), prog="shape-obs extract")
+    args = parse(Arguments, argv, "shape-obs extract")
+    check_lerobot(args)
+    if args.address is not None and args.engine != "ray":
+        raise UsageError("--address: only for a Ray cluster; give --engine ray too.")
+    features = [_feature(text) for text in args.features]
     from tqdm import tqdm
 
     from shape_obs.config.config_file import load_config
@@ -72,14 +76,11 @@ def main(argv: Sequence[str]) -> int:
 
     config = load_config(args.config)
     if args.features:
-        config["features"] = [feature.to_dict() for feature in read_features(map(_feature, args.features))]
-    if args.extrinsics is not None and not args.extrinsics.is_file():
-        raise FileNotFoundError(f"--extrinsics: {args.extrinsics}: no such file.")
+        with wrong_usage():
+            config["features"] = [feature.to_dict() for feature in read_features(features)]
     tasks = all_tasks(recordings(args.source))
     if args.to == "lerobot":
         prepare(args, config, tasks)
-    elif args.task is not None or args.videos or args.fps is not None:
-        raise ValueError("--task, --videos and --fps belong to --to lerobot: add it, or leave them out.")
     parts = args.out / PARTS if args.to == "lerobot" else args.out
     job = Extraction(config, parts, open_named, args.extrinsics, args.frames)
     found: list[Outcome] = []
@@ -179,4 +180,5 @@ def _inside(folder: Path) -> Iterator[Path]:
 
 def _feature(text: str) -> Any:
     """Read one feature, such as ``fourier`` or ``{kind: fourier, harmonics: 4}``."""
-    return parse_yaml(text, f"--features {text[:60]}")
+    with wrong_usage():
+        return parse_yaml(text, f"--features {text[:60]}")

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Final
 
 from shape_obs.cli.options import open_named
+from shape_obs.utils.errors import UsageError
 
 if TYPE_CHECKING:
     from shape_obs.extraction import Extraction, Task
@@ -16,8 +17,18 @@ if TYPE_CHECKING:
 PARTS: Final = "extraction"
 
 
+def check_lerobot(args: Any) -> None:
+    """Check how the options go together.
+
+    Raises:
+        UsageError: An option of LeRobot datasets is given without ``--to lerobot``.
+    """
+    if args.to != "lerobot" and (args.task is not None or args.videos or args.fps is not None):
+        raise UsageError("--task, --videos and --fps belong to --to lerobot: add it, or leave them out.")
+
+
 def prepare(args: Any, config: dict[str, Any], tasks: Sequence[Task]) -> None:
-    """Check the options before hours of work, and choose features if the config has none.
+    """Check what can be written before hours of work, and choose features if the config has none.
 
     Args:
         args: The options of the user.
@@ -25,13 +36,11 @@ def prepare(args: Any, config: dict[str, Any], tasks: Sequence[Task]) -> None:
         tasks: The episodes.
 
     Raises:
-        ValueError: ``--fps`` is out of range, or the folder holds something else.
+        ValueError: The folder holds something else.
         ImportError: A required extra is missing.
     """
     from shape_obs.extraction.lerobot.videos import need_encoder
 
-    if args.fps is not None and not 0 < args.fps < 1000:
-        raise ValueError(f"--fps: expected more than 0, at most 1000, got {args.fps:g}.")
     if args.videos:
         need_encoder()
     if args.out.is_dir() and any(args.out.iterdir()) and not (args.out / PARTS).is_dir():

@@ -216,18 +216,18 @@ def test_recordings_without_a_robot_give_observations_only(place, tmp_path, caps
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "wanted", "message"),
     [
-        (["--task", "x"], "--task, --videos and --fps belong to --to lerobot"),
-        (["--to", "lerobot", "--fps", "0"], "--fps: expected more than 0"),
-        (["--to", "lerobot", "-o", "r0"], "r0: the folder is not empty, and holds no extraction"),
+        (["--task", "x"], 2, "--task, --videos and --fps belong to --to lerobot"),
+        (["--to", "lerobot", "--fps", "0"], 2, "--fps: expected a number above 0"),
+        (["--to", "lerobot", "-o", "r0"], 1, "r0: the folder is not empty, and holds no extraction"),
     ],
 )
-def test_mistakes_are_reported_before_the_work(place, capsys, monkeypatch, arguments, message):
+def test_mistakes_are_reported_before_the_work(place, capsys, monkeypatch, arguments, wanted, message):
     monkeypatch.chdir(place)
     out = [] if "-o" in arguments else ["-o", "new"]
     code, result, err = run(capsys, "r0", "--config", "c.yaml", *arguments, *out)
-    assert (code, result) == (1, None)
+    assert (code, result) == (wanted, None)
     assert message in err
     assert not Path("new").exists()
 
