@@ -65,7 +65,7 @@ def summary(recorded: Recorded) -> str:
     """Return the lines that the command prints."""
     lines = [f"{recorded.path}: {recorded.frames} frames, {recorded.seconds:.2f} s"]
     if recorded.actions:
-        lines.append(f"actions         {recorded.actions}, with rewards, ends of episodes and the robot's state")
+        lines.append(f"actions         {recorded.actions}, with rewards and ends of episodes")
     if recorded.missed:
         lines.append(
             f"missed          {recorded.missed} frames are missing from the camera's count (USB, or a busy machine)"
