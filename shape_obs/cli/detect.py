@@ -9,12 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
+from tyro.conf import UseAppendAction
+
 from shape_obs.cli.parsing import Option, parse, wrong_usage
 from shape_obs.utils.errors import UsageError
 
 if TYPE_CHECKING:
     from shape_obs.configurations.base import Configuration
     from shape_obs.detector import ShapeDetector
+    from shape_obs.image.segmentation import Segmentation
 
 #: Low and high hue, saturation and value.
 _Bounds: TypeAlias = tuple[int, int, int, int, int, int]
@@ -36,8 +39,11 @@ class Arguments:
     """A YAML config file, as --pick writes it."""
     hsv: Annotated[_Bounds | None, Option("H S V H S V", "object", least=0, most=255)] = None
     """The object's colour: low h s v, high h s v (h 0...179, s and v 0...255; red wraps around: 170 ... 10 ...)."""
-    pick: Annotated[str | None, Option("U,V", "object")] = None
-    """A pixel on the object in the first image. Proposes an HSV range and writes it to --save-config."""
+    pick: Annotated[tuple[str, ...], Option("U,V", "object"), UseAppendAction] = ()
+    """A pixel on the object in the first image; may be repeated. The colours of the object are learned and written to
+    --save-config."""
+    not_: Annotated[tuple[str, ...], Option("U,V", "object"), UseAppendAction] = ()
+    """A pixel that is not on the object, though --pick alone takes it; may be repeated."""
     shape: Annotated[Literal["centerline", "contour", "surface"] | None, Option(group="shape")] = None
     """Form of the object: 'centerline' for ropes and cables, 'contour' for outlines, 'surface' for cloth. Default: the
     shapes of the config, or 'centerline'."""
@@ -81,7 +87,7 @@ def main(argv: Sequence[str]) -> int:
 
 def _check(args: Arguments) -> None:
     """Reject options that do not go together, before anything slow is imported."""
-    ways = [f"--{name}" for name in ("config", "hsv", "pick") if getattr(args, name) is not None]
+    ways = [f"--{name}" for name in ("config", "hsv", "pick") if getattr(args, name) not in (None, ())]
     if len(ways) != 1:
         got = " and ".join(ways) or "none"
         raise UsageError(f"give exactly one of --config FILE, --hsv ... or --pick u,v; got {got}.")
@@ -89,8 +95,10 @@ def _check(args: Arguments) -> None:
         raise UsageError(f"got {len(args.images)} images but {len(args.depth)} depth files; give one per image.")
     if args.depth and args.intrinsics is None:
         raise UsageError("--depth needs --intrinsics FX FY CX CY, which turn depth into 3D points.")
-    if args.pick is not None:
-        _pixel(args.pick)
+    if args.not_ and not args.pick:
+        raise UsageError("--not needs --pick u,v: a pixel on the object.")
+    _pixels(args.pick, "--pick")
+    _pixels(args.not_, "--not")
     if args.config is None:
         _size(args.n, args.shape or "centerline")
     _count(args.count)
@@ -133,9 +141,7 @@ def _detector_arguments(args: Arguments) -> dict[str, Any]:
     """Return the arguments of the detector that the options describe."""
     from shape_obs.config.config_file import detector_arguments, load_config, save_config
     from shape_obs.configurations.base import Configuration
-    from shape_obs.image.colour_picker import propose_hsv
     from shape_obs.image.segmentation import HSVRange
-    from shape_obs.utils.arrays import read_image
 
     arguments: dict[str, Any]
     if args.config is not None:
@@ -144,7 +150,7 @@ def _detector_arguments(args: Arguments) -> dict[str, Any]:
         with wrong_usage():
             arguments = {"segmentation": HSVRange(args.hsv[:3], args.hsv[3:])}
     else:
-        arguments = {"segmentation": propose_hsv(read_image(args.images[0]), _pixel(args.pick or ""))}
+        arguments = {"segmentation": _proposed(args)}
     if args.ends is not None:
         arguments["ends"] = args.ends
     if args.shape is not None:
@@ -152,10 +158,22 @@ def _detector_arguments(args: Arguments) -> dict[str, Any]:
     if args.n is not None or args.count is not None:
         shapes = map(Configuration.from_dict, arguments.get("shapes", [{"kind": "centerline"}]))
         arguments["shapes"] = [_changed(shape, args) for shape in shapes]
-    if args.pick is not None:
+    if args.pick:
         save_config(args.save_config, arguments)
-        print(f"wrote {args.save_config}: {arguments['segmentation'].to_dict()}", file=sys.stderr)
+        print(f"shape-obs detect: wrote {args.save_config}", file=sys.stderr)
     return arguments
+
+
+def _proposed(args: Arguments) -> Segmentation:
+    """Return the segmentation that the picked pixels of the first image mean, and print what was found."""
+    from shape_obs.image.colour_picker import propose_segmentation
+    from shape_obs.utils.arrays import read_depth, read_image
+
+    depth = read_depth(args.depth[0]) if args.depth else None
+    picks, nots = _pixels(args.pick, "--pick"), _pixels(args.not_, "--not")
+    proposal = propose_segmentation(read_image(args.images[0]), picks, nots, depth)
+    print(f"shape-obs detect: {proposal.text}", file=sys.stderr)
+    return proposal.rule
 
 
 def _changed(shape: Configuration, args: Arguments) -> Configuration:
@@ -187,13 +205,15 @@ def _count(text: str | None) -> int | str | None:
     return int(text)
 
 
-def _pixel(text: str) -> tuple[float, float]:
-    parts = text.split(",")
-    try:
-        u, v = (float(part) for part in parts)
-    except ValueError:
-        raise UsageError(f"--pick: expected u,v such as 300,123, got {text!r}.") from None
-    return u, v
+def _pixels(texts: Sequence[str], option: str) -> list[tuple[float, float]]:
+    pixels = []
+    for text in texts:
+        try:
+            u, v = (float(part) for part in text.split(","))
+        except ValueError:
+            raise UsageError(f"{option}: expected u,v such as 300,123, got {text!r}.") from None
+        pixels.append((u, v))
+    return pixels
 
 
 def _check_unique_names(images: Sequence[Path]) -> None:

@@ -118,9 +118,7 @@ def parse(arguments: type[T], argv: Sequence[str], prog: str, check: Callable[[T
         value, option = values[each.name], options[each.name]
         if value == () and _is_required(each):  # tyro accepts an empty list of positional arguments
             raise UsageError(f"expected at least one {(option.metavar or each.name).split()[0]}.")
-        option.check_value(
-            option.metavar or each.name if option.positional else "--" + each.name.replace("_", "-"), value
-        )
+        option.check_value(option.metavar or each.name if option.positional else f"--{_name(each)}", value)
     args = arguments(**values)
     check(args)
     for name, option in options.items():
@@ -171,6 +169,7 @@ def _annotation(hint: Any, option: Option, each: Field[Any], text: str) -> Any:
     if option.positional:
         markers = (*markers, tyro.conf.Positional)
     shown = tyro.conf.arg(
+        name=_name(each),
         metavar=option.metavar or _choices(base),
         help=text,
         aliases=(option.short,) if option.short else None,
@@ -179,6 +178,11 @@ def _annotation(hint: Any, option: Option, each: Field[Any], text: str) -> Any:
     for extra in (*markers, shown):
         base = Annotated[base, extra]
     return base
+
+
+def _name(each: Field[Any]) -> str:
+    """Return the option of a field, without dashes: ``not_`` is ``not``, which Python does not allow as a name."""
+    return each.name.rstrip("_").replace("_", "-")
 
 
 def _choices(base: Any) -> str | None:

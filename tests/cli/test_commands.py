@@ -67,11 +67,12 @@ def test_detect_lifts_with_depth_and_intrinsics(photo, capsys):
     assert np.allclose(points3d[:, 0], (points2d[:, 0] - 160) / 200 * 0.7, atol=1e-4)
 
 
-def test_pick_proposes_a_range_that_detect_then_reads(photo, capsys):
+def test_pick_learns_colours_that_detect_then_reads(photo, capsys):
     config = photo / "rope.yaml"
     run(capsys, "detect", photo / "rope.png", "--pick", "160,143", "--save-config", config, "--out", photo / "o")
     segmentation = yaml.safe_load(config.read_text())["scene"]["segmentation"]
-    assert segmentation["kind"] == "hsv"
+    assert segmentation["kind"] == "click"
+    assert segmentation["picks"] == [[160.0, 143.0]]
     code, out, _ = run(capsys, "detect", photo / "rope.png", "--config", config, "--out", photo / "o")
     assert code == 0
     assert json.loads(out)["ok"] is True
@@ -107,7 +108,7 @@ def test_a_shape_that_is_not_there_is_reported(photo, capsys):
         (["detect", "{photo}"], 2, "give exactly one of --config FILE, --hsv ... or --pick u,v"),
         (["detect", "{photo}", "--pick", "middle"], 2, "--pick: expected u,v such as 300,123, got 'middle'"),
         (["detect", "{photo}", "--pick", "900,5"], 1, "pixel (900, 5) lies outside the image of 320 x 240"),
-        (["detect", "{photo}", "--pick", "5,5"], 1, "of the image looks like pixel (5, 5)"),
+        (["detect", "{photo}", "--pick", "5,5"], 1, "of the image looks like (5, 5)"),
         (["detect", "{photo}", "--config", "none.yaml"], 1, "none.yaml: no such config file"),
         (["detect", "{photo}", *HSV, "--depth", "a.png", "b.png"], 2, "got 1 images but 2 depth files"),
         (["detect", "{photo}", *HSV, "--depth", "a.png"], 2, "--depth needs --intrinsics"),

@@ -212,8 +212,9 @@ def _photographed(rng: np.random.Generator, surface: Relief, scene: Field, light
 
 
 def _shadows(rng: np.random.Generator, surface: Relief, light: Array) -> Field:
-    """Return by how much it is darker at each place, 0 to 1: next to objects, where they throw a shadow, and in
-    that of something outside the picture.
+    """Return how much of the light is missing at each place, 0 to 1.
+
+    There is less next to objects, in their shadows, and in the shadow of something outside the picture.
     """
     rows, columns = surface.owner.shape
     top = max(float(np.quantile(surface.height[surface.owner >= 0], 0.95)), 1.0)
