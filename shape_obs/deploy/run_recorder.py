@@ -1,4 +1,4 @@
-"""Record the frames that a controller sees and what it does with them, in threads that never delay the robot."""
+"""Record the frames that a controller sees and what it does with them, in threads."""
 
 from __future__ import annotations
 
