@@ -31,7 +31,8 @@ class Arguments:
     """
 
     source: Annotated[tuple[str, ...], Option("RECORDING ...", positional=True)]
-    """Recorded folders, folders of images, .db3, .bag and video files, folders that contain these, or patterns."""
+    """Recorded folders, folders of images, rosbag2 folders, .db3, .bag, .mcap and video files, folders that contain
+    these, or patterns."""
     config: Annotated[Path, Option("FILE", "detection", existing="config file")]
     """A YAML config file."""
     out: Annotated[Path, Option("FOLDER", "output", "-o")]
@@ -121,7 +122,9 @@ def recordings(texts: Sequence[str]) -> list[str]:
                 raise ValueError(f"{text}: no such file or folder; record a camera or an environment first.")
         inside = [str(inner) for path in paths for inner in (_inside(path) if path.is_dir() else [path])]
         if not inside:
-            raise ValueError(f"{text}: found no recording there: no recorded folder, images, .db3, .bag or video file.")
+            raise ValueError(
+                f"{text}: found no recording there: no recorded folder, images, .db3, .bag, .mcap or video file."
+            )
         found += inside
     return list(dict.fromkeys(found))
 
@@ -163,18 +166,18 @@ def _result(job: Extraction, found: Sequence[Outcome]) -> dict[str, Any]:
 def _inside(folder: Path) -> Iterator[Path]:
     """Yield the recordings in a folder, which may itself be a recording."""
     from shape_obs.recording.format import CAMERA_FILE, FRAMES_FILE
-    from shape_obs_envs.sources import RECORDINGS
+    from shape_obs_envs.sources.opening import MCAP, RECORDINGS, ROSBAG2
     from shape_obs_envs.sources.sequence import PHOTOS, VIDEOS
 
     inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
     names, suffixes = {path.name for path in inside}, {path.suffix.lower() for path in inside if path.is_file()}
-    if names & {CAMERA_FILE, FRAMES_FILE} or suffixes & set(PHOTOS):
+    if names & {CAMERA_FILE, FRAMES_FILE, ROSBAG2} or suffixes & set(PHOTOS):
         yield folder
         return
     for path in inside:
         if path.is_dir():
             yield from _inside(path)
-        elif path.suffix.lower() in (*RECORDINGS, *VIDEOS):
+        elif path.suffix.lower() in (*RECORDINGS, MCAP, *VIDEOS):
             yield path
 
 

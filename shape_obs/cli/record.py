@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from shape_obs.cli.options import check_source, open_named, read_settings, warnings_as_lines
 from shape_obs.cli.parsing import Option, parse
@@ -17,6 +18,10 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
     from shape_obs.recording import Recorded
+
+
+#: Words for RealSense cameras, as ``open_source`` has them; it is not imported before the arguments are checked.
+_REALSENSE: Final = re.compile(r"d4\d\d(?::|$)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -29,9 +34,10 @@ class Arguments:
     """
 
     source: Annotated[str, Option("SOURCE", "source", check=check_source)]
-    """d455[:serial], FILE.db3, FILE.bag, a folder, a video file, or the id of an environment."""
+    """A camera (d455[:serial], d435, webcam:0, module:Class), a recording (FILE.db3, FILE.bag, FILE.mcap, a folder, a
+    video file) or the id of an environment."""
     out: Annotated[Path, Option("RECORDING", "output", "-o")]
-    """A new or empty folder, or FILE.db3 for librealsense's own format (cameras only)."""
+    """A new or empty folder, or FILE.db3 for librealsense's own format (RealSense cameras only)."""
     frames: Annotated[int | None, Option("N", "length", least=1)] = None
     """Number of frames; default: until the source ends or Ctrl-C."""
     seconds: Annotated[float | None, Option("SECONDS", "length", above=0)] = None
@@ -117,9 +123,10 @@ def _check_raw(args: Arguments) -> None:
     """Reject what cannot be recorded in librealsense's own format."""
     if args.depth == "no":
         raise UsageError(f"{args.out}: librealsense's own format always contains depth; use a folder with --depth no.")
-    if not args.source.lower().startswith("d455"):
+    if not _REALSENSE.match(args.source):
         raise UsageError(
-            f"{args.out}: only a camera (d455) can be recorded to {args.out.suffix}; give a folder for {args.source}."
+            f"{args.out}: only a RealSense camera can be recorded to {args.out.suffix}; give a folder for "
+            f"{args.source}."
         )
 
 

@@ -27,7 +27,8 @@ class Arguments:
     """
 
     recording: Annotated[str, Option("RECORDING", positional=True, check=check_source)]
-    """A folder, FILE.db3, FILE.bag or a video file; or, with --frames, d455[:serial] or the id of an environment."""
+    """A folder, FILE.db3, FILE.bag, FILE.mcap or a video file; or, with --frames, a camera (d455[:serial], webcam:0,
+    module:Class) or the id of an environment."""
     config: Annotated[Path | None, Option("FILE", "detection", existing="config file")] = None
     """A YAML config file; needed unless --verify is given."""
     csv: Annotated[Path | None, Option("FILE", "output")] = None
@@ -63,7 +64,7 @@ def main(argv: Sequence[str]) -> int:
         check_table_path(path)
     arguments = None if args.config is None else load_config(args.config)
     with warnings_as_lines("shape-obs replay"), open_named(args.recording, args.extrinsics, args.set) as source:
-        if source.kind in ("d455", "software", "env") and args.frames is None:
+        if (source.live or source.kind == "env") and args.frames is None:
             raise UsageError(f"{source.name} never ends: give --frames N.")
         result: dict[str, Any] = {"source": source.name}
         if args.verify:

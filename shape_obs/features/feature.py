@@ -14,6 +14,7 @@ import numpy.typing as npt
 from shape_obs.camera import CameraModel
 from shape_obs.configurations.base import Configuration
 from shape_obs.geometry.topology import Topology
+from shape_obs.image.segmentation import DepthRange
 from shape_obs.shape import Shape
 from shape_obs.spec import Spec
 
@@ -111,6 +112,16 @@ def read_features(
     """Return features from specs, mappings or names; a single one counts as a list of one."""
     alone = isinstance(value, (Feature, Mapping, str)) or not isinstance(value, Iterable)
     return [Feature.from_dict(item) for item in ([value] if alone else value)]  # type: ignore[list-item]
+
+
+def what_needs_depth(shapes: Iterable[Configuration], features: Iterable[Feature]) -> list[str]:
+    """Return everything in a configuration that needs depth, in words for an error message."""
+    needs = [f"feature {feature.kind!r}" for feature in features if feature.needs_depth]
+    for spec in shapes:
+        needs += [f"lift='cloud' of shape {spec.name!r}"] if spec.lift == "cloud" else []
+        needs += [f"spacing='m' of shape {spec.name!r}"] if spec.spacing == "m" else []
+        needs += [f"segmentation 'depth' of shape {spec.name!r}"] if isinstance(spec.segmentation, DepthRange) else []
+    return needs
 
 
 class Block(NamedTuple):

@@ -165,8 +165,14 @@ class Moment(NamedTuple):
 
 
 def read_moment(source: RGBDSource, timeout: float) -> Moment:
-    """Read the next frame of a source and what the source publishes with it; raise as ``source.read`` does."""
+    """Read the next frame of a source and what the source publishes with it; raise as ``source.read`` does.
+
+    Raises:
+        TypeError: The source, of a user's own class, returned something else.
+    """
     frame = source.read(timeout)
+    if not isinstance(frame, Frame):
+        raise TypeError(f"{source.name}: read() returned a {type(frame).__name__}, expected a shape_obs.Frame.")
     return Moment(
         frame,
         dict(getattr(source, "anchors", {})),

@@ -13,7 +13,7 @@ from shape_obs.config.detector_config import ALGORITHM
 from shape_obs.detector import ShapeDetector
 from shape_obs.extrinsics import now
 from shape_obs.features import read_features
-from shape_obs.image.segmentation import DepthRange
+from shape_obs.features.feature import what_needs_depth
 from shape_obs.recording.format import Moment, camera_to_dict, read_moments
 from shape_obs.recording.step_columns import step_columns
 from shape_obs.recording.table import Column, ShapeTable
@@ -63,11 +63,7 @@ def check_depth(source: RGBDSource, detector: ShapeDetector, arguments: Mapping[
         ValueError: The message lists everything that needs the missing depth or intrinsics.
     """
     features = read_features(arguments.get("features") or ())
-    needs = [f"feature {feature.kind!r}" for feature in features if feature.needs_depth]
-    for spec in detector.shapes:
-        needs += [f"lift='cloud' of shape {spec.name!r}"] if spec.lift == "cloud" else []
-        needs += [f"spacing='m' of shape {spec.name!r}"] if spec.spacing == "m" else []
-        needs += [f"segmentation 'depth' of shape {spec.name!r}"] if isinstance(spec.segmentation, DepthRange) else []
+    needs = what_needs_depth(detector.shapes, features)
     missing = "depth" if not source.has_depth else "intrinsics" if source.intrinsics is None else ""
     if needs and missing:
         raise ValueError(

@@ -174,7 +174,9 @@ def load_named(text: str, what: str) -> Any:
     try:
         module = import_module(module_name)
     except ImportError as error:
-        raise ImportError(f"{what}: cannot import {module_name!r}: {error}") from error
+        file = Path(*module_name.split(".")).with_suffix(".py")
+        here = f" {file} is in this folder: set PYTHONPATH=. to have modules found there." if file.exists() else ""
+        raise ImportError(f"{what}: cannot import {module_name!r}: {error}.{here}") from error
     try:
         return getattr(module, name)
     except AttributeError:

@@ -17,6 +17,7 @@ from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
 from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.detector import ShapeDetector
 from shape_obs.features import Feature, FeatureContext, FeatureVector, read_features
+from shape_obs.features.feature import what_needs_depth
 from shape_obs.shape import Detection, Shape
 from shape_obs.spec import SpecError, did_you_mean, to_plain
 from shape_obs.wrappers import env_protocol
@@ -110,8 +111,12 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         context = FeatureContext(width, height, camera, own["workspace"], self.detector.config.max_age)
         in_3d = self._images.depth_key is not None and camera is not None
         self.features = tuple(read_features(own["features"] or ("points3d" if in_3d else "points2d_normalized")))
-        if self._images.depth_key is None and any(feature.needs_depth for feature in self.features):
-            raise ValueError("features need depth, but the observation has no 'depth'; pass depth_key=.")
+        needs = what_needs_depth(self.detector.shapes, self.features) if self._images.depth_key is None else []
+        if needs:
+            raise ValueError(
+                f"the observation has no 'depth', but the config needs it: {', '.join(needs)}. Choose features in "
+                "pixels, such as points2d_normalized, and spacing='px'; or pass depth_key= if it has another name."
+            )
         space, shapes = env.observation_space, self.detector.shapes
         self._vector = FeatureVector(self.features, shapes, context)
         self.blocks = self._vector.blocks

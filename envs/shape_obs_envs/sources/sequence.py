@@ -103,6 +103,8 @@ class FolderSource(SequenceSource):
         frames: ``(first, count)`` of a part, such as an episode; None for all frames.
 
     Attributes:
+        anchors: Where the object was held in the last frame that was read; empty if unknown.
+        episode: Episode of the last frame that was read.
         transition: The recorded step that led to the last frame that was read; None if there is none.
         state: ``(S,)`` recorded state of the robot in that frame; None if there is none.
 
@@ -131,8 +133,8 @@ class FolderSource(SequenceSource):
         self._part = frames
         self._frames: Recording | Sequence[Path] = ()
         self._left = range(0)
-        self._anchors: Mapping[str, Sequence[float]] = {}
-        self._episode = 0
+        self.anchors: Mapping[str, Sequence[float]] = {}
+        self.episode = 0
         self.transition: Transition | None = None
         self.state: tuple[float, ...] | None = None
 
@@ -161,16 +163,6 @@ class FolderSource(SequenceSource):
         """Names of the values of the recorded actions and states; None if there are none."""
         return self._frames.robot if isinstance(self._frames, Recording) else None
 
-    @property
-    def anchors(self) -> Mapping[str, Sequence[float]]:
-        """Where the object was held in the last frame that was read; empty if unknown."""
-        return self._anchors
-
-    @property
-    def episode(self) -> int:
-        """Episode of the last frame that was read."""
-        return self._episode
-
     def connect(self) -> None:
         """Open the folder and start at its first frame."""
         if self._connected:
@@ -185,9 +177,11 @@ class FolderSource(SequenceSource):
             photos = (path for path in self.path.iterdir() if path.suffix.lower() in PHOTOS and path.is_file())
             self._frames = sorted(photos, key=_natural_order)
             if not self._frames:
+                bags = any(path.suffix in (".mcap", ".db3") for path in self.path.iterdir())
+                hint = " For a rosbag2 without its metadata.yaml run `ros2 bag reindex`." if bags else ""
                 raise BadRecording(
                     f"{self.path}: expected a recording ({CAMERA_FILE}, {FRAMES_FILE}, rgb/) or images "
-                    f"({', '.join(PHOTOS)}), found neither."
+                    f"({', '.join(PHOTOS)}), found neither.{hint}"
                 )
         first, count = self._part or (0, len(self._frames))
         if first + count > len(self._frames):
@@ -195,7 +189,7 @@ class FolderSource(SequenceSource):
                 f"{self.path}: frames {first} ... {first + count - 1} were requested, there are {len(self._frames)}."
             )
         self._left = range(first, first + count)
-        self._anchors, self._episode, self.transition, self.state = {}, 0, None, None
+        self.anchors, self.episode, self.transition, self.state = {}, 0, None, None
         self._connected = True
 
     def _next(self) -> Frame:
@@ -203,7 +197,7 @@ class FolderSource(SequenceSource):
             raise EndOfSource(f"{self.path}: end of its {len(self)} frames.")
         at = self._left[0]
         if isinstance(self._frames, Recording):
-            frame, self._anchors, self._episode, self.transition, self.state = self._frames[at]
+            frame, self.anchors, self.episode, self.transition, self.state = self._frames[at]
             frame = replace(frame, camera=self._with_extrinsics(frame.camera))
         else:
             frame = _read_photo(self._frames[at], at)
