@@ -76,8 +76,10 @@ class RGBDSource(Protocol):
 
     Python before 3.12 evaluates the properties in ``isinstance(source, RGBDSource)``: connect the source first.
 
-    A source may also have ``anchors``, a mapping of names to points where the object was held in the last frame, and
-    ``episode``, the number of the uninterrupted sequence that the frame belongs to; recordings store both.
+    A source may also have ``anchors``, a mapping of names to points where the object was held in the last frame;
+    ``episode``, the number of the uninterrupted sequence that the frame belongs to; ``transition``, the action, reward
+    and end of the step that led to it; ``state``, that of the robot; and ``robot_info``, the names of the values of
+    both. Recordings store them; see ``shape_obs.recording.Moment``.
     """
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
@@ -49,6 +49,8 @@ class Arguments(ControllerArguments):
     """Send the robot to its safe pose at the end; --no-park leaves it where it is."""
     log: Annotated[Path | None, Option("FOLDER", "output")] = None
     """Folder for the log: the setup, one line per step, and the report."""
+    record: Annotated[Path | None, Option("FOLDER", "output")] = None
+    """Folder for a recording of the run: frames, actions, rewards and the robot's state; see `shape-obs replay`."""
     view: Annotated[int | None, Option("PORT", "output", least=0, most=65535)] = None
     """Port of a web page that shows what the camera sees; needs the extra 'view'."""
     rerun: Annotated[str | None, Option(TARGET, "output", check=check_target)] = None
@@ -70,11 +72,12 @@ def main(argv: Sequence[str]) -> int:
 
 def _run(args: Arguments, box: Any) -> int:
     from shape_obs.cli.episodes import play
-    from shape_obs.deploy import Interrupted, Limits, RunLog, deploy
+    from shape_obs.deploy import Interrupted, Limits, RunLog, RunRecorder, deploy
 
     limits = Limits(args.hold, args.min_valid, args.max_age, args.watchdog)
     setup = make_deployment(args, max_step=args.max_step, workspace=box)
     header = _header(setup, limits)
+    recorder = None if args.record is None else RunRecorder(args.record)
 
     def run(number: int | None = None) -> Any:
         """Run once. Each of several episodes gets its own log, and the robot stays connected after it."""
@@ -87,16 +90,24 @@ def _run(args: Arguments, box: Any) -> int:
             seconds=None if args.seconds == inf else args.seconds,
             until_reached=args.until_reached,
             log=None if folder is None else RunLog(folder, header),
+            record=recorder,
             on_step=shown.step,
             park=args.park and number is None,
             close=number is None,
         )
 
     def show(report: Any) -> None:
-        print(json.dumps(report.to_dict()) if args.json else report)
+        recorded = None if recorder is None else recorder.close()
+        kept = {} if recorded is None else {"recording": recorded.to_dict()}
+        print(json.dumps({**report.to_dict(), **kept}) if args.json else report)
+        if recorded is not None and not args.json:
+            print(
+                f"recording       {recorded.frames} frames with {recorded.actions} actions in {recorded.path}, "
+                f"dropped: {recorded.dropped}"
+            )
 
     try:
-        with _Progress(setup.arguments, setup.env) as shown:
+        with recorder or nullcontext(), _Progress(setup.arguments, setup.env) as shown:
             if args.episodes is None:
                 report = run()
                 failed = report.failed

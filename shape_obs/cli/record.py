@@ -29,6 +29,7 @@ _REALSENSE: Final = re.compile(r"d4\d\d(?::|$)", re.IGNORECASE)
 class Arguments:
     """Record frames from a camera, a file or an environment.
 
+    Of an environment, also actions, rewards, ends of episodes and the robot's state are recorded.
     Ctrl-C ends a recording cleanly. After an error the frames that were written are kept. The exit code is 1 if the
     source failed.
     """
@@ -73,6 +74,8 @@ def main(argv: Sequence[str]) -> int:
 def summary(recorded: Recorded) -> str:
     """Return the lines that the command prints."""
     lines = [f"{recorded.path}: {recorded.frames} frames, {recorded.seconds:.2f} s"]
+    if recorded.actions:
+        lines.append(f"actions         {recorded.actions}, with rewards and ends of episodes")
     if recorded.missed:
         lines.append(
             f"missed          {recorded.missed} frames are missing from the camera's count (USB, or a busy machine)"

@@ -41,7 +41,7 @@ class Arguments:
     parquet: Annotated[Path | None, Option("FILE", "output")] = None
     """Write the shapes as a Parquet table (needs the extra 'parquet')."""
     video: Annotated[Path | None, Option("FILE", "output")] = None
-    """Write the frames with the shapes drawn over them: .mp4 or .avi."""
+    """Write the frames with the shapes drawn over them: .mp4 (H.264 with the extra 'video'), .avi or .gif."""
     rerun: Annotated[str | None, Option(TARGET, "output", check=check_target)] = None
     """Log frames, shapes and features to rerun: to FILE.rrd, or to the viewer with an address; without a value it opens
     the viewer, or where there is no display writes a file next to the first output (needs the extra 'rerun')."""

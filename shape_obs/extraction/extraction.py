@@ -21,12 +21,15 @@ from shape_obs.extraction.task import Outcome, Task
 from shape_obs.features import Block, Feature, FeatureContext, FeatureVector, read_features
 from shape_obs.recording import Moment, ShapeLog, ShapeTable, replay
 from shape_obs.recording.replay import check_depth
+from shape_obs.recording.step_columns import step_columns
 from shape_obs.recording.table import Column
 from shape_obs.shape import Detection
 from shape_obs.source import RGBDSource
 from shape_obs.utils.threads import one_thread
 
 _POINT_AXES: Final = {"points2d": 2, "points3d": 3}
+#: Version of the columns; datasets with another one are not continued.
+_LAYOUT: Final = 2
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,7 @@ class Extraction:
         return {
             "shape_obs": __version__,
             "algorithm": ALGORITHM,
+            "layout": _LAYOUT,
             "config_hash": config_hash(self.config),
             "schema_hash": schema_hash(self.config),
             "extrinsics": pose,
@@ -140,10 +144,13 @@ def _table(job: Extraction, made: Mapping[str, Any], task: Task) -> ShapeTable:
 
 def _complete(columns: Mapping[str, Column], sizes: Mapping[str, int]) -> dict[str, Column]:
     """Return the columns that every part has, even if its recording lacks some; without receive times."""
+    count = len(columns["frame"])
     found = {name: column for name, column in columns.items() if name != "received"}
+    for name, column in step_columns(count * [0], count * [None], count * [None]).items():
+        found.setdefault(name, column)
     for name, size in sizes.items():
         for kind, axes in _POINT_AXES.items():
-            found.setdefault(f"{name}/{kind}", np.full((len(columns["frame"]), size, axes), np.nan, np.float32))
+            found.setdefault(f"{name}/{kind}", np.full((count, size, axes), np.nan, np.float32))
     first = [name for name in found if "/" not in name]
     return {name: found[name] for name in [*first, *sorted(set(found) - set(first))]}
 

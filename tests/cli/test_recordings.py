@@ -185,9 +185,9 @@ def test_an_interrupted_recording_is_replayed_with_a_word_about_it(place, record
             "cannot make the output folder",
         ),
         (
-            ["replay", "photos", "--config", "pixels.yaml", "--video", "s.gif"],
+            ["replay", "photos", "--config", "pixels.yaml", "--video", "s.mkv"],
             1,
-            "expected a video named *.mp4 or *.avi",
+            "expected a video named *.mp4, *.avi, *.gif",
         ),
         (["replay", "photos", "--config", "pixels.yaml", "--frames", "0"], 2, "--frames: expected at least 1, got 0"),
         (["replay", "CartPole-v1", "--config", "pixels.yaml"], 1, "CartPole-v1: the observation must be an RGB image"),

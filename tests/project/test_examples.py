@@ -27,6 +27,7 @@ EXPECTED = {
     "log_rerun.py": "found in 54 of 60 frames",
     "own_feature.py": "ok: True and within the bounds: True",
     "own_clusterer.py": "quantiles            ok: True, off by at most 1.0 px",
+    "lerobot_dataset.py": "3 episodes, 75 rows at 20 Hz",
     "features_offline.py": "pca, aligned    11 values, points back within  ",
 }
 # Run in small by test_train_examples.py.

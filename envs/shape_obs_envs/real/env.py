@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import gymnasium as gym
@@ -87,6 +87,7 @@ class D455Env(gym.Env[Any, Any]):
         guarded: The last action after the guard; None if there was none.
         withheld: Why the last action was not sent; empty if it was.
         sent_at: ``time.monotonic()`` after the last action was sent, in seconds.
+        on_sent: Called in each step after the action was sent and before the wait for the next frame.
         seen_at: ``time.monotonic()`` when the last frame was available, in seconds.
         slack: Time in seconds that the last step waited for its deadline; negative if it was late.
     """
@@ -140,6 +141,7 @@ class D455Env(gym.Env[Any, Any]):
         self.observation_space = gym.spaces.Dict(observed)
         self.sent_at = self.seen_at = time.monotonic()
         self.slack, self.withheld = 0.0, ""
+        self.on_sent: Callable[[], object] = lambda: None
         self.guarded: Guarded | None = None
         self.frame: Frame | None = None
         self._clock = (0.0, time.monotonic())  # stamp of the newest frame, and when it was read
@@ -184,13 +186,12 @@ class D455Env(gym.Env[Any, Any]):
         try:
             self._send(action)
             self.sent_at = time.monotonic()
+            self.on_sent()
             self._accept(self._wait_for_frame())
         except NotConnected:
             raise
-        except SourceError as error:
-            errors["camera_error"] = str(error)
-        except RobotError as error:
-            errors["robot_error"] = str(error)
+        except (SourceError, RobotError) as error:
+            errors["camera_error" if isinstance(error, SourceError) else "robot_error"] = str(error)
         except ValueError:
             self._abandon()
             raise
