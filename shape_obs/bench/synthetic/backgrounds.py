@@ -73,7 +73,7 @@ def _weave(rng: np.random.Generator, size: tuple[int, int], base: Image) -> Imag
 def _mat(rng: np.random.Generator, size: tuple[int, int]) -> Image:
     """Return a cutting mat: one colour, with fine and coarse lines."""
     colour = np.array([(30, 90, 70), (40, 60, 110), (60, 60, 62)][int(rng.integers(3))], np.float32)
-    picture = np.ascontiguousarray(np.broadcast_to(colour, (*size, 3))) * (1 + 0.04 * _noise(rng, size, (3, 3)))
+    picture = np.asarray(colour * (1 + 0.04 * _noise(rng, size, (3, 3))), np.float32)
     step = int(rng.integers(30, 70))
     for k in range(0, max(size), step):
         wide = 4 if k // step % 5 == 0 else 2
