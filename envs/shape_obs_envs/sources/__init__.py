@@ -19,17 +19,19 @@ from shape_obs.spec import did_you_mean
 
 if TYPE_CHECKING:
     from shape_obs_envs.sources.env import EnvSource as EnvSource
+    from shape_obs_envs.sources.photo import PhotoSource as PhotoSource
     from shape_obs_envs.sources.realsense import RealSenseSource as RealSenseSource
     from shape_obs_envs.sources.realsense import SoftwareD455 as SoftwareD455
     from shape_obs_envs.sources.sequence import FolderSource as FolderSource
-    from shape_obs_envs.sources.sequence import VideoSource as VideoSource
+    from shape_obs_envs.sources.video import VideoSource as VideoSource
 
 _HOME: Final = {
     "EnvSource": "env",
     "FolderSource": "sequence",
+    "PhotoSource": "photo",
     "RealSenseSource": "realsense",
     "SoftwareD455": "realsense",
-    "VideoSource": "sequence",
+    "VideoSource": "video",
 }
 __all__ = sorted([*_HOME, "open_source"])  # pyright: ignore[reportUnsupportedDunderAll]
 
@@ -80,7 +82,8 @@ def open_source(
         ImportError: A required extra is not installed; the message names it.
     """
     from shape_obs_envs.sources.env import EnvSource
-    from shape_obs_envs.sources.sequence import PHOTOS, VIDEOS, FolderSource, VideoSource
+    from shape_obs_envs.sources.sequence import PHOTOS, FolderSource
+    from shape_obs_envs.sources.video import VIDEOS, VideoSource
 
     word, path = str(text), Path(text)
     mode = {name: value for name, value in (("width", width), ("height", height), ("fps", fps)) if value is not None}
