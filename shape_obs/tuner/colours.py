@@ -39,13 +39,11 @@ def histogram(result: Result, channel: str) -> Histogram:
         result: What was found.
         channel: A key of ``CHANNELS``.
     """
-    hsv = cv2.cvtColor(result.picture()[::2, ::2], cv2.COLOR_RGB2HSV)
+    hsv = np.asarray(cv2.cvtColor(result.picture()[::2, ::2], cv2.COLOR_RGB2HSV), np.uint8)
     values = hsv[..., list(CHANNELS).index(channel)]
     inside = result.mask[::2, ::2] > 0
     edges = np.linspace(0, CHANNELS[channel], _BINS + 1)
-    return Histogram(
-        (edges[:-1] + edges[1:]) / 2, _percent(values[inside], edges), _percent(values[~inside], edges)
-    )
+    return Histogram((edges[:-1] + edges[1:]) / 2, _percent(values[inside], edges), _percent(values[~inside], edges))
 
 
 def _percent(values: npt.NDArray[np.uint8], edges: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -18,7 +18,7 @@ _KNOWN: Final[dict[tuple[str, str], tuple[str, float, float, float]]] = {
     ("", "open"): ("Remove specks (px)", 0, 31, 1),
     ("", "close"): ("Close gaps (px)", 0, 31, 1),
     ("", "min_area"): ("Smallest piece (px)", 1, 5000, 1),
-    ("", "min_share"): ("Smallest share of largest", 0, 1, 0.01),
+    ("", "min_share"): ("Smallest share", 0, 1, 0.01),
     ("gray", "low"): ("Brightness from", 0, 255, 1),
     ("gray", "high"): ("Brightness to", 0, 255, 1),
     ("depth", "near"): ("Depth from (m)", 0.05, 5, 0.005),
@@ -86,8 +86,9 @@ def controls_of(spec: Spec) -> list[Control]:
 def _controls(spec: Spec, name: str, hint: Any) -> Iterator[Control]:
     value = getattr(spec, name)
     if spec.kind == "hsv" and name in ("low", "high"):
-        for i, (channel, top) in enumerate(_HSV):
-            yield Control((name, i), f"{channel} {'from' if name == 'low' else 'to'}", "number", 0, top, 1)
+        for i, (channel, top) in enumerate(_HSV if name == "low" else ()):  # both bounds of a channel together
+            yield Control(("low", i), f"{channel} from", "number", 0, top, 1)
+            yield Control(("high", i), f"{channel} to", "number", 0, top, 1)
         return
     options = _options(hint)
     if options:

@@ -37,7 +37,7 @@ def overlay(result: Result) -> Image:
     drawn = tinted(picture, mask)
     _shade_outside(drawn, result, scale)
     if result.detection is not None:
-        drawn = draw_detection(drawn, _scaled(result.detection, scale))
+        drawn = draw_detection(drawn, scaled(result.detection, scale))
     return drawn
 
 
@@ -61,9 +61,7 @@ def tinted(picture: Image, mask: Image) -> Image:
 
 def encode(picture: Image) -> bytes:
     """Return an RGB picture as a JPEG."""
-    done, data = cv2.imencode(
-        ".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
-    )
+    done, data = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
     assert done
     return data.tobytes()
 
@@ -83,12 +81,13 @@ def _shade_outside(picture: Image, result: Result, scale: float) -> None:
     cv2.drawContours(picture, cv2.findContours(area, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0], -1, BORDER, 2)
 
 
-def _scaled(detection: Detection, scale: float) -> Detection:
+def scaled(detection: Detection, scale: float) -> Detection:
     """Return a detection in the pixels of the picture."""
     if scale == 1:
         return detection
     shapes = tuple(
-        shape if shape.points2d is None else replace(shape, points2d=_place(shape.points2d, scale)) for shape in detection
+        shape if shape.points2d is None else replace(shape, points2d=_place(shape.points2d, scale))
+        for shape in detection
     )
     crossings = tuple(
         each._replace(pixel=tuple(_place(np.array(each.pixel), scale).tolist())) for each in detection.crossings

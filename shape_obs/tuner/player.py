@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import Final, Protocol, runtime_checkable
 
 from shape_obs.recording.format import Moment, read_moment
 from shape_obs.source import EndOfSource, RGBDSource
@@ -39,7 +39,7 @@ class Player:
         self._at = -1  # of the frame shown: in the recording, or among the kept frames
 
     @property
-    def seekable(self) -> Any:
+    def seekable(self) -> Seekable | None:
         """The source if it can go to any frame; else None."""
         return self.source if isinstance(self.source, Seekable) and len(self.source) else None
 
@@ -51,7 +51,8 @@ class Player:
     @property
     def length(self) -> int:
         """How many frames there are to choose from."""
-        return len(self.seekable) if self.seekable is not None else len(self._kept)
+        source = self.seekable
+        return len(self._kept) if source is None else len(source)
 
     def open(self) -> None:
         """Connect the source, unless it is connected; raise as ``source.connect`` does."""
@@ -83,20 +84,22 @@ class Player:
         index = min(max(index, 0), self.length - 1)
         if index < 0:
             raise EndOfSource("there is no frame yet.")
-        if self.seekable is None:
+        source = self.seekable
+        if source is None:
             self._at = index
             return self._kept[index]
-        self.seekable.seek(index)
+        source.seek(index)
         self._at = index - 1
         return self.next(1.0)
 
     def skip(self) -> bool:
         """Pass over a frame of a recording that cannot be read; return whether there is one after it."""
         self._at += 1
-        there = self.seekable is not None and self._at + 1 < self.length
-        if there:
-            self.seekable.seek(self._at + 1)
-        return there
+        source = self.seekable
+        if source is None or self._at + 1 >= len(source):
+            return False
+        source.seek(self._at + 1)
+        return True
 
     def to_newest(self) -> None:
         """Continue with new frames of a camera rather than with those kept."""

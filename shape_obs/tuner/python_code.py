@@ -36,7 +36,11 @@ def python_code(arguments: Mapping[str, Any], source: str, kind: str) -> str:
     given = _changed(config, skip={"shapes"})
     values = {"shapes": [_changed(shape) for shape in config.shapes], **given}
     lines = [f"    {name}={_indented(value, len(name) + 5)}," for name, value in values.items()]
-    first = "import cv2\n\nfrom shape_obs" if kind == "photo" else "from shape_obs_envs.sources import open_source\n\nfrom shape_obs"
+    first = (
+        "import cv2\n\nfrom shape_obs"
+        if kind == "photo"
+        else "from shape_obs_envs.sources import open_source\n\nfrom shape_obs"
+    )
     body = "\n".join(["detector = ShapeDetector(", *lines, ")"])
     return f"{first} import ShapeDetector\n\n{body}{(_PHOTO if kind == 'photo' else _SOURCE).format(name=source)}"
 

@@ -7,21 +7,21 @@ from typing import Final
 
 from shape_obs.shape import Detection
 
-_ADVICE: Final = (
+_ADVICE: Final[tuple[tuple[str, str], ...]] = (
     (r"mask is empty", "No pixel matches. Click on the object, or widen the thresholds."),
     (r"mask has \d+ pixels, at least", "Hardly any pixel matches. Click on the object again, or widen the thresholds."),
-    (r"runs of pixels|noise", "The mask looks like noise. Click on the background while holding Shift, or raise 'Remove specks'."),
-    (r"too stout", "The mask is as wide as it is long. Is this a cable? Otherwise choose Outline or Cloth as the shape."),
-    (r"too slender for a sheet", "The mask is long and thin. Choose Cable or rope as the shape."),
-    (r"falls into \d+ pieces", "The mask is in many pieces. Raise 'Close gaps' and 'Smallest piece', or click on a missing part."),
+    (r"runs of pixels|noise", "The mask looks like noise. Shift-click on the background, or raise 'Remove specks'."),
+    (r"too stout", "The mask is no longer than wide. If it is no cable, choose Outline or Cloth."),
+    (r"too slender for a sheet", "The mask is long and thin. Choose Cable as the shape."),
+    (r"falls into \d+ pieces", "The mask is in many pieces. Raise 'Close gaps', or click on a missing part."),
     (r"longer in space|end-on", "The object points at the camera. Move it or the camera."),
     (r"markers?\b.*(missing|not|seen)|missing.*marker", "The four markers are not all in sight."),
     (r"px wide", "The mask is very thin. Lower 'Remove specks', or move the camera closer."),
     (r"in sight|hidden|covered", "Too much of the object is hidden or outside the area."),
-    (r"off the|outside the mask|not explain|covers?\b", "The mask holds more than the object, or has holes. Look at the mask under Stages."),
+    (r"off the|outside the mask|not explain|covers?\b", "The mask is more than the object, or has holes."),
     (r"as many pixels as", "The mask became much larger. Something of the same colour came into view."),
     (r"from where the shape was", "It jumped. Another object of the same colour may be in view."),
-    (r"corner", "The four corners of the cloth are not clear in the mask. Look at the mask under Stages."),
+    (r"corner", "The four corners of the cloth are not clear in the mask."),
     (r"small", "The mask is too small. Click on the object again, or move the camera closer."),
 )  # fmt: skip
 _ELSE: Final = "Look at the mask under Stages: it should cover the object, and nothing else."

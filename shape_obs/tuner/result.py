@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.config.detector_config import DetectorConfig
-from shape_obs.frame import Frame
 from shape_obs.image.find_region import segment
 from shape_obs.image.region import Region
 from shape_obs.image.roi import ROI

@@ -130,9 +130,7 @@ class Session:
         with self._lock:
             clean = {"open", "close", "min_area", "min_share"}
             before = {} if self.rule is None else self.rule.to_dict()
-            return self.set(
-                self.rule_path, {**_RULES[kind], **{name: before[name] for name in clean & before.keys()}}
-            )
+            return self.set(self.rule_path, {**_RULES[kind], **{name: before[name] for name in clean & before.keys()}})
 
     def click(self, frame: Frame, pixel: Pixel, *, on_object: bool = True) -> bool:
         """Propose the segmentation from one more click; return whether there is one.
@@ -157,6 +155,7 @@ class Session:
                 proposal = propose_segmentation(frame.rgb, picks, nots, frame.depth)
             except ValueError as error:
                 return self._refuse(str(error).replace("pick: ", ""))
+            picks, nots = _plain(picks), _plain(nots)
             settings = Settings(
                 replace_at(now.arguments, self.rule_path, proposal.rule.to_dict()), picks, nots, proposal.text
             )
@@ -238,6 +237,10 @@ class Session:
         self.error, self.version = error, self.version + 1
         self.on_change()
         return False
+
+
+def _plain(pixels: tuple[Pixel, ...]) -> tuple[Pixel, ...]:
+    return tuple((float(u), float(v)) for u, v in pixels)
 
 
 def _detector_of(arguments: Mapping[str, Any]) -> ShapeDetector:

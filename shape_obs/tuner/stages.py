@@ -14,7 +14,7 @@ from shape_obs.geometry.observed import Samples
 from shape_obs.image.find_region import segment
 from shape_obs.image.region import Region
 from shape_obs.tracking.prediction import Fit
-from shape_obs.tuner.pictures import BORDER, TINT, Image
+from shape_obs.tuner.pictures import BORDER, TINT, Image, scaled
 from shape_obs.tuner.result import Result
 
 #: Names of the stages, with what each picture shows.
@@ -26,7 +26,7 @@ STAGES: Final = {
     "points": "5. Points: N points in order",
 }
 _PAPER: Final = (250, 250, 250)
-_PALE: Final = (205, 214, 226)
+_PALE: Final = (176, 190, 209)
 _LINE: Final = (90, 105, 125)
 _WIDTH: Final = 480
 _ANTIALIASED: Final = cv2.LINE_AA
@@ -53,8 +53,7 @@ def stage_picture(result: Result, stage: str) -> Image:
         return _pale(picture, region, result.size)
     if stage == "points":
         assert result.detection is not None
-        small = draw_detection(result.picture(), result.detection)
-        return _resized(small, scale)
+        return draw_detection(picture, scaled(result.detection, scale))
     if region.refusal:
         return _blank(picture, region.refusal)
     drawn = _pale(picture, region, result.size)

@@ -1,0 +1,196 @@
+"""The page: its frame, its header, and what is kept up to date on it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from fastapi import FastAPI, Response
+from nicegui import context, run, ui
+
+from shape_obs.tuner.engine import Engine
+from shape_obs.tuner.page_controls import Controls
+from shape_obs.tuner.page_image import ImagePanel
+from shape_obs.tuner.page_views import Views
+from shape_obs.tuner.pictures import encode
+from shape_obs.tuner.stages import STAGES, stage_picture
+
+_IMAGE_EVERY: Final = 1 / 40  # seconds
+_TEXT_EVERY: Final = 0.2
+_STATES: Final = {
+    "starting": ("starting", "grey-6"),
+    "playing": ("live", "positive"),
+    "paused": ("paused", "grey-7"),
+    "ended": ("ended", "grey-7"),
+    "waiting": ("no frame", "warning"),
+    "lost": ("camera lost", "negative"),
+    "released": ("released", "grey-7"),
+}
+_STYLE: Final = """
+body { background: #f3f5f8; }
+.nicegui-content { padding: 0; }
+.q-card { box-shadow: 0 1px 2px rgb(16 24 40 / 10%); border: 1px solid #e4e8ee; border-radius: 10px; }
+.tune-body { display: grid; grid-template-columns: minmax(0, 1fr) 380px; grid-template-rows: auto 1fr; gap: 16px;
+  grid-template-areas: "image controls" "views controls"; width: 100%; max-width: 1480px; margin: 0 auto;
+  padding: 16px; align-items: start; }
+.tune-left { grid-area: image; min-width: 0; }
+.tune-right { grid-area: controls; }
+.tune-below { grid-area: views; min-width: 0; }
+.tune-toggle .q-btn { padding: 4px 12px; }
+.q-tab { padding: 0 14px; }
+.tune-title { font-weight: 600; color: #1f2a37; font-size: 15px; }
+.tune-hint { color: #5b6776; font-size: 13px; line-height: 1.4; }
+.tune-area img { touch-action: none; cursor: crosshair; }
+.tune-pick img { cursor: crosshair; }
+.tune-number input { text-align: right; padding: 0 !important; }
+@media (max-width: 899px) {
+  .tune-body { grid-template-columns: minmax(0, 1fr); grid-template-rows: none; gap: 10px; padding: 10px;
+    grid-template-areas: "image" "controls" "views"; }
+  .tune-left { position: sticky; top: 50px; z-index: 5; }
+  .tune-image { padding: 8px; gap: 4px; }
+  .tune-toggle .q-btn { padding: 4px 9px; }
+  .q-tab { padding: 0 10px; min-height: 40px; }
+  .tune-wide { display: none !important; }
+}
+"""
+
+
+def add_page(app: FastAPI, engine: Engine, save_path: Path) -> None:
+    """Add the page and its pictures to an application.
+
+    Args:
+        app: The application.
+        engine: What all pages show.
+        save_path: The file that Save writes.
+    """
+
+    @app.get("/picture/{number}.jpg")
+    def picture(number: str) -> Response:
+        """Return the newest picture; the number only makes the browser ask again."""
+        return Response(engine.jpeg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
+
+    @app.get("/stage/{name}/{number}.jpg")
+    def stage(name: str, number: str) -> Response:
+        """Return the picture of a stage."""
+        if engine.result is None or name not in STAGES:
+            return Response(status_code=404)
+        jpeg = encode(stage_picture(engine.result, name))
+        return Response(jpeg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
+
+    @ui.page("/")
+    def page() -> None:
+        _Page(engine, save_path)
+
+
+class _Page:
+    """One browser's page."""
+
+    def __init__(self, engine: Engine, save_path: Path) -> None:
+        self._engine, self._session, self._save_path = engine, engine.session, save_path
+        self._version = -1
+        ui.colors(primary="#1e6fd9", positive="#1a8f4c", negative="#c62f3b", warning="#b7791f")
+        ui.add_css(_STYLE)
+        self._header()
+        with ui.element("div").classes("tune-body"):
+            with ui.element("div").classes("tune-left"):
+                self._image = ImagePanel(engine)
+            with ui.column().classes("tune-right w-full gap-4 min-w-0"):
+                self._controls = Controls(engine)
+            with ui.element("div").classes("tune-below"):
+                self._views = Views(engine)
+        ui.timer(_IMAGE_EVERY, self._image.show_newest)
+        ui.timer(_TEXT_EVERY, self._refresh)
+        ui.keyboard(on_key=self._key)
+        self._count_page()
+        self._refresh()
+
+    def _count_page(self) -> None:
+        client, opened = context.client, []
+
+        def opens() -> None:
+            if not opened:  # a page that reconnects is the same page
+                opened.append(True)
+                self._engine.open_page()
+
+        client.on_connect(opens)
+        client.on_delete(lambda: self._engine.close_page() if opened else None)
+
+    def _header(self) -> None:
+        source = self._engine.player.source
+        with (
+            ui.header().classes("items-center no-wrap gap-2 px-3 py-2").style("background: #17212e"),
+            ui.row().classes("w-full items-center no-wrap gap-2"),
+        ):
+            ui.label("shape-obs tune").classes("text-base font-semibold tune-wide")
+            ui.label(Path(source.name).name or source.name).classes("text-sm ellipsis opacity-80 min-w-0").tooltip(
+                source.name
+            )
+            self._state = ui.badge("starting").props("rounded").classes("px-2 py-1")
+            ui.space()
+            light = "flat dense color=white"
+            self._undo = ui.button(icon="undo", on_click=self._session.undo).props(light).tooltip("Undo (Ctrl+Z)")
+            self._redo = ui.button(icon="redo", on_click=self._session.redo).props(light).tooltip("Redo (Ctrl+Y)")
+            ui.button(icon="code", on_click=self._show_python).props(f"{light} aria-label=Python").tooltip(
+                "Copy as Python"
+            )
+            self._save = ui.button("Save", on_click=self._save_file).props("dense unelevated no-caps")
+            self._save.classes("px-4").tooltip(f"Write {self._save_path}")
+        self._save.set_enabled(not self._session.read_only)
+
+    def _key(self, event: object) -> None:
+        key, modifiers, action = (getattr(event, name) for name in ("key", "modifiers", "action"))
+        if action.keydown and (modifiers.ctrl or modifiers.meta) and key.name in ("z", "y"):
+            (self._session.undo if key.name == "z" else self._session.redo)()
+
+    def _refresh(self) -> None:
+        """Bring all texts up to date."""
+        engine, session = self._engine, self._session
+        text, colour = _STATES[engine.state]
+        if engine.player.source.kind == "photo":
+            text = "photo"
+        elif engine.state == "playing" and not engine.live:
+            text = "playing"
+        self._state.set_text("read-only, " + text if session.read_only else text)
+        self._state.props(f"color={colour}")
+        if self._version != session.version:
+            self._version = session.version
+            self._undo.set_enabled(session.can_undo)
+            self._redo.set_enabled(session.can_redo)
+            self._controls.refresh()
+        self._image.refresh()
+        self._views.refresh()
+
+    async def _save_file(self) -> None:
+        try:
+            await run.io_bound(self._session.save, self._save_path)
+        except (ValueError, OSError) as error:
+            ui.notify(str(error), type="warning", position="top")
+            return
+        with ui.dialog(value=True) as dialog, ui.card().classes("w-full gap-2"):
+            ui.label(f"Saved {self._save_path}").classes("tune-title")
+            ui.label("Every command reads it, for example:").classes("tune-hint")
+            ui.code(_commands(self._engine, self._save_path), language="bash").classes("w-full")
+            ui.button("Close", on_click=dialog.close).props("flat dense").classes("self-end")
+
+    def _show_python(self) -> None:
+        source = self._engine.player.source
+        with ui.dialog(value=True) as dialog, ui.card().classes("w-full gap-2").style("max-width: 760px"):
+            ui.label("The same in Python").classes("tune-title")
+            text = self._session.python(source.name, source.kind)
+            ui.code(text, language="python").classes("w-full python-code")
+            with ui.row().classes("w-full justify-end"):
+                ui.button("Copy", icon="content_copy", on_click=lambda: self._copy(text)).props("flat dense")
+                ui.button("Close", on_click=dialog.close).props("flat dense")
+
+    def _copy(self, text: str) -> None:
+        ui.clipboard.write(text)
+        ui.notify("Copied. If your browser forbids it here, mark the text and copy it.", position="top")
+
+
+def _commands(engine: Engine, path: Path) -> str:
+    name = engine.player.source.name
+    if engine.player.source.kind == "photo":
+        return f"shape-obs detect {name} --config {path}"
+    if engine.live:
+        return f"shape-obs record --source {name} --seconds 10 -o recording\nshape-obs replay recording --config {path} --video shapes.mp4"
+    return f"shape-obs replay {name} --config {path} --video shapes.mp4"
