@@ -49,7 +49,7 @@ class Engine:
         self.jpeg = b""
         self.state: State = "starting"
         self.message = ""
-        self.playing = True
+        self.playing = bool(source.live) or session.rule is not None  # else wait for the first click
         self.latencies: dict[str, float] = {}
         self._patience, self._pages, self._alone_since = patience, 0, time.monotonic()
         self._times: deque[float] = deque(maxlen=60)
@@ -227,9 +227,10 @@ class Engine:
         except SourceError as error:
             self._fail(error)
             return
-        self.state, self.message = "playing", ""
+        self.state, self.message = "playing" if self.playing else "paused", ""
         self._moment = moment
-        self._due = begin + _pause(before, moment) if not self.live else 0.0
+        # From when the last one was due, so that late ones are caught up with.
+        self._due = max(self._due, begin - _SLOWEST) + _pause(before, moment) if not self.live else 0.0
         self._show(finder.find(moment))
 
     def _fail(self, error: SourceError) -> None:

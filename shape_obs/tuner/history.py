@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from shape_obs.frame import Frame
+
 Pixel = tuple[float, float]
 Path = tuple[str | int, ...]
 
@@ -23,12 +25,14 @@ class Settings:
         picks: Pixels (u, v) that were clicked on the object.
         nots: Pixels (u, v) that are not on it.
         text: What was found at the clicks, in words.
+        frame: The frame that was clicked last.
     """
 
     arguments: Mapping[str, Any] = field(default_factory=dict)
     picks: tuple[Pixel, ...] = ()
     nots: tuple[Pixel, ...] = ()
     text: str = ""
+    frame: Frame | None = field(default=None, repr=False, compare=False)
 
 
 class History:

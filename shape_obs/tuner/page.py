@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -15,8 +18,9 @@ from shape_obs.tuner.page_views import Views
 from shape_obs.tuner.pictures import encode
 from shape_obs.tuner.stages import STAGES, stage_picture
 
-_IMAGE_EVERY: Final = 1 / 40  # seconds
-_TEXT_EVERY: Final = 0.2
+_TEXT_EVERY: Final = 0.2  # seconds
+_POLL: Final = 0.004
+_LONGEST: Final = 2.0
 _STATES: Final = {
     "starting": ("starting", "grey-6"),
     "playing": ("live", "positive"),
@@ -55,18 +59,33 @@ body { background: #f3f5f8; }
 """
 
 
-def add_page(app: FastAPI, engine: Engine, save_path: Path) -> None:
+def add_page(app: FastAPI, engine: Engine, save_path: Path, is_closing: Callable[[], bool]) -> None:
     """Add the page and its pictures to an application.
 
     Args:
         app: The application.
         engine: What all pages show.
         save_path: The file that Save writes.
+        is_closing: Whether the server is about to end, so that no request waits any longer.
     """
 
-    @app.get("/picture/{number}.jpg")
-    def picture(number: str) -> Response:
-        """Return the newest picture; the number only makes the browser ask again."""
+    sent: dict[str, int] = {}
+
+    @app.get("/picture/{page}/{request}.jpg")
+    async def picture(page: str, request: str) -> Response:
+        """Return the newest picture as soon as there is one that the page does not have, and at the latest in a while.
+
+        So each page gets as many as it can show, always the newest, and asks again when it has shown one.
+        """
+        end = time.monotonic() + _LONGEST
+        while sent.get(page) == engine.number and time.monotonic() < end and not is_closing():
+            await asyncio.sleep(_POLL)
+        sent[page] = engine.number
+        return Response(engine.jpeg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
+
+    @app.get("/newest.jpg")
+    def newest() -> Response:
+        """Return the newest picture at once."""
         return Response(engine.jpeg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
     @app.get("/stage/{name}/{number}.jpg")
@@ -98,7 +117,6 @@ class _Page:
                 self._controls = Controls(engine)
             with ui.element("div").classes("tune-below"):
                 self._views = Views(engine)
-        ui.timer(_IMAGE_EVERY, self._image.show_newest)
         ui.timer(_TEXT_EVERY, self._refresh)
         ui.keyboard(on_key=self._key)
         self._count_page()

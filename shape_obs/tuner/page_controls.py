@@ -75,7 +75,8 @@ class Controls:
         self._text = ui.label("").classes("tune-hint proposal")
         self._clear = ui.button("", on_click=session.clear_clicks).props("flat dense no-caps size=sm")
         self._clear.set_enabled(not session.read_only)
-        rules = dict(_RULES)
+        rules: dict[Any, str] = {None: "Nothing yet"} if rule is None else {}
+        rules |= _RULES
         frame = None if self._engine.result is None else self._engine.result.moment.frame
         if frame is None or frame.depth is None:
             del rules["depth"]

@@ -16,6 +16,17 @@ _HINTS: Final = {
     "not": "Click on what is not the object.",
     "area": "Drag a rectangle around the area to look in.",
 }
+_STREAM: Final = """
+const image = document.querySelector("#%s img");
+if (!image.dataset.page) {
+  image.dataset.page = "%s";
+  let count = 0;
+  const next = () => { image.src = `/picture/${image.dataset.page}/${count++}.jpg`; };
+  image.addEventListener("load", next);
+  image.addEventListener("error", () => setTimeout(next, 500));
+  document.readyState === "complete" ? next() : window.addEventListener("load", next);
+}
+"""
 _SMALLEST: Final = 8  # pixels of an area's sides; a shorter drag was a click
 
 
@@ -28,7 +39,7 @@ class ImagePanel:
 
     def __init__(self, engine: Engine) -> None:
         self._engine, self._session = engine, engine.session
-        self._shown, self._overlay, self._size = -1, "", (0, 0)
+        self._overlay, self._size = "", (0, 0)
         self._begin: tuple[float, float] | None = None
         self._end: tuple[float, float] | None = None
         with ui.card().classes("w-full p-3 gap-2 tune-image"):
@@ -38,21 +49,22 @@ class ImagePanel:
                 self._mode.classes("tune-toggle mode").set_enabled(not self._session.read_only)
                 self._hint = ui.label(_HINTS["pick"]).classes("tune-hint")
             self._image = ui.interactive_image(
-                on_mouse=self._mouse, events=["click"], content=" ", sanitize=False
+                "/newest.jpg", on_mouse=self._mouse, events=["click"], content=" ", sanitize=False
             ).classes("w-full rounded self-center tune-pick")
+            ui.context.client.on_connect(self._stream)
             self._player()
             self._status()
 
-    def show_newest(self) -> None:
-        """Let the browser load the newest picture, unless it has it; and draw the clicks."""
-        if self._engine.number != self._shown:
-            self._shown = self._engine.number
-            self._fit_to_window()
-            self._image.set_source(f"/picture/{self._shown}.jpg")
+    def _draw_clicks(self) -> None:
         overlay = self._svg()
         if overlay != self._overlay:
             self._overlay = overlay
             self._image.set_content(overlay)
+
+    def _stream(self) -> None:
+        """Let the browser load one picture after the other; see ``add_page``."""
+        client = ui.context.client
+        client.run_javascript(_STREAM % (self._image.html_id, client.id))
 
     def _fit_to_window(self) -> None:
         """Make the image as wide as leaves room for what is below it."""
@@ -65,6 +77,8 @@ class ImagePanel:
     def refresh(self) -> None:
         """Bring the texts and the player up to date."""
         engine, player = self._engine, self._engine.player
+        self._fit_to_window()
+        self._draw_clicks()
         self._play.props(f"icon={'pause' if engine.playing and engine.state != 'ended' else 'play_arrow'}")
         self._bar.set_visibility(engine.live or player.length != 1 or player.seekable is None)
         position, length = max(player.position, 0), player.length
@@ -154,6 +168,7 @@ class ImagePanel:
             self._begin = self._end = pixel
         elif self._begin is not None:
             self._end = pixel
+            self._draw_clicks()
             if event.type == "pointerup" or not event.buttons:
                 begin, self._begin, self._end = self._begin, None, None
                 if min(abs(begin[0] - pixel[0]), abs(begin[1] - pixel[1])) >= _SMALLEST:
@@ -165,10 +180,11 @@ class ImagePanel:
         result = self._engine.result
         if result is None:
             return " "
-        scale, settings = scale_of(result.size), self._session.settings
+        scale = scale_of(result.size)
+        picks, nots = self._session.clicks_in(result.moment.frame)
         radius = max(result.size[1] * scale / 90, 5.0)
         parts = []
-        for pixels, colour, sign in ((settings.picks, "#1a8f4c", "+"), (settings.nots, "#c62f3b", "−")):
+        for pixels, colour, sign in ((picks, "#1a8f4c", "+"), (nots, "#c62f3b", "−")):
             for u, v in pixels:
                 x, y = (u + 0.5) * scale, (v + 0.5) * scale
                 parts.append(

@@ -73,7 +73,7 @@ def serve(
     port = listening.getsockname()[1]
     token = None if is_local(host) else secrets.token_urlsafe(16)
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-    add_page(app, engine, save_path)
+    add_page(app, engine, save_path, lambda: server.should_exit)
     ui.run_with(app, title="shape-obs tune", favicon="🪢", reconnect_timeout=3.0, show_welcome_message=False)
     config = uvicorn.Config(
         Guard(app, token, port), log_level="error", access_log=False, timeout_graceful_shutdown=1, lifespan="on"

@@ -9,6 +9,7 @@ from pathlib import Path as FilePath
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from shape_obs.config.config_file import detector_arguments, dump_config, save_config
 from shape_obs.config.detector_config import DetectorConfig
@@ -22,6 +23,10 @@ from shape_obs.tuner.controls import Control, controls_of
 from shape_obs.tuner.history import History, Path, Pixel, Settings, replace_at, value_at
 from shape_obs.tuner.python_code import python_code
 
+Image = npt.NDArray[np.uint8]
+
+_AROUND: Final = 2  # pixels
+_ALIKE: Final = 20  # levels by which the mean colour around a click may change, as by a camera's noise
 READ_ONLY: Final = "This page is read-only: it was started with --read-only."
 _RULES: Final[dict[str, dict[str, Any]]] = {
     "hsv": {"kind": "hsv", "low": [0, 80, 40], "high": [179, 255, 255]},
@@ -135,7 +140,7 @@ class Session:
     def click(self, frame: Frame, pixel: Pixel, *, on_object: bool = True) -> bool:
         """Propose the segmentation from one more click; return whether there is one.
 
-        The clean-up that was set by hand is kept where the proposal has the same kind.
+        Earlier clicks count where the frame still looks as it did there; see ``clicks_in``.
 
         Args:
             frame: The frame that was clicked.
@@ -144,22 +149,32 @@ class Session:
         """
         with self._lock:
             now = self.settings
-            picks, nots = (*now.picks, pixel), now.nots
-            if not on_object:
-                picks, nots = now.picks, (*now.nots, pixel)
-            if not picks:
-                return self._refuse("Click on the object first; then on what is not the object.")
+            picks, nots = self.clicks_in(frame)
+            if not on_object and not picks:
+                moved = "It has moved since you clicked on it. " if now.picks else ""
+                return self._refuse(f"{moved}Click on the object first; then on what is not the object.")
+            picks, nots = ((*picks, pixel), nots) if on_object else (picks, (*nots, pixel))
             if frame.rgb is None:
                 return self._refuse("The source has no colour image to click on.")
             try:
                 proposal = propose_segmentation(frame.rgb, picks, nots, frame.depth)
             except ValueError as error:
                 return self._refuse(str(error).replace("pick: ", ""))
-            picks, nots = _plain(picks), _plain(nots)
-            settings = Settings(
-                replace_at(now.arguments, self.rule_path, proposal.rule.to_dict()), picks, nots, proposal.text
-            )
-            return self._change(settings)
+            arguments = replace_at(now.arguments, self.rule_path, proposal.rule.to_dict())
+            return self._change(Settings(arguments, _plain(picks), _plain(nots), proposal.text, frame))
+
+    def clicks_in(self, frame: Frame) -> tuple[tuple[Pixel, ...], tuple[Pixel, ...]]:
+        """Return the clicks on and off the object around which a frame looks as the one that was clicked.
+
+        In a camera's picture of a still scene these are all; where something has moved, a click means nothing any more.
+        """
+        settings = self.settings
+        if settings.frame is None or settings.frame.rgb is None or frame.rgb is None:
+            return (), ()
+        before, now = settings.frame.rgb, frame.rgb
+        if before is now:
+            return settings.picks, settings.nots
+        return _unmoved(before, now, settings.picks), _unmoved(before, now, settings.nots)
 
     def clear_clicks(self) -> bool:
         """Forget the clicks; the segmentation stays."""
@@ -237,6 +252,19 @@ class Session:
         self.error, self.version = error, self.version + 1
         self.on_change()
         return False
+
+
+def _unmoved(before: Image, now: Image, pixels: tuple[Pixel, ...]) -> tuple[Pixel, ...]:
+    """Return the pixels around which two images look alike."""
+    if before.shape != now.shape:
+        return ()
+    kept = []
+    for u, v in pixels:
+        rows, columns = (slice(max(round(at) - _AROUND, 0), round(at) + _AROUND + 1) for at in (v, u))
+        colours = [image[rows, columns].reshape(-1, 3).mean(axis=0) for image in (before, now)]
+        if np.abs(colours[0] - colours[1]).max() <= _ALIKE:
+            kept.append((u, v))
+    return tuple(kept)
 
 
 def _plain(pixels: tuple[Pixel, ...]) -> tuple[Pixel, ...]:
