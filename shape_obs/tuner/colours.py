@@ -16,6 +16,7 @@ from shape_obs.tuner.result import Result
 CHANNELS: Final = {"Hue": HUES, "Saturation": 256, "Brightness": 256}
 _BINS: Final = 45
 _MOST: Final = 6000  # points of a cloud
+_OWN: Final = 2000  # points of the object more
 
 
 class Histogram(NamedTuple):
@@ -56,10 +57,14 @@ class Cloud(NamedTuple):
     Args:
         points: ``(M, 3)`` metres in the camera's optical frame.
         colours: ``(M, 3)`` RGB, 0...1; the object's are tinted.
+        inside: ``(M,)`` bool: on the object.
+        size: Metres from one of the other points to the next.
     """
 
     points: npt.NDArray[np.float64]
     colours: npt.NDArray[np.float64]
+    inside: npt.NDArray[np.bool_]
+    size: float
 
 
 def cloud_of(result: Result) -> Cloud | None:
@@ -70,6 +75,9 @@ def cloud_of(result: Result) -> Cloud | None:
     height, width = frame.depth.shape
     step = max(round((height * width / _MOST) ** 0.5), 1)
     v, u = np.mgrid[step // 2 : height : step, step // 2 : width : step].reshape(2, -1)
+    own_v, own_u = np.nonzero(result.mask)
+    own = slice(None, None, len(own_v) // _OWN + 1)
+    u, v = np.concatenate([u, own_u[own]]), np.concatenate([v, own_v[own]])
     z = depth_in_metres(frame.depth[v, u])
     known = np.isfinite(z)
     u, v, z = u[known], v[known], z[known]
@@ -78,4 +86,5 @@ def cloud_of(result: Result) -> Cloud | None:
     inside = result.mask[v, u] > 0
     colours[inside] = 0.4 * colours[inside] + 0.6 * np.array([1.0, 0.25, 0.7])
     near = np.isfinite(points).all(axis=1)
-    return Cloud(points[near], colours[near])
+    size = step * float(np.median(z)) / frame.camera.intrinsics.fx if len(z) else 0.0
+    return Cloud(points[near], colours[near], inside[near], size)

@@ -40,6 +40,7 @@ class Engine:
         state: What the source does.
         message: Why it is waiting, lost or stopped; empty if all is well.
         playing: Whether frames follow each other by themselves.
+        position: Index of the frame that is shown; see ``Player``.
         latencies: Milliseconds by stage, smoothed.
     """
 
@@ -50,6 +51,7 @@ class Engine:
         self.state: State = "starting"
         self.message = ""
         self.playing = bool(source.live) or session.rule is not None  # else wait for the first click
+        self.position = -1
         self.latencies: dict[str, float] = {}
         self._patience, self._pages, self._alone_since = patience, 0, time.monotonic()
         self._times: deque[float] = deque(maxlen=60)
@@ -152,7 +154,7 @@ class Engine:
                 if self._pages == 0:
                     self._release()
                 elif self.state in ("released", "lost"):
-                    self._reopen()
+                    self._reopen(finder)
                 elif self._target >= 0:
                     self._go_to_target(finder)
                 elif self.playing and time.monotonic() >= self._due:
@@ -160,6 +162,9 @@ class Engine:
                 elif not finder.is_current and self._moment is not None:
                     self._show(finder.find(self._moment))
         finally:
+            if not self._over:
+                self.playing, self.state = False, "lost"
+                self.message = "An error in shape-obs has stopped the tuner; the terminal shows it."
             self.player.close()
 
     def _wait(self, finder: Finder) -> bool:
@@ -186,13 +191,14 @@ class Engine:
             self.player.close()
             self.state, self.message = "released", "The camera was released while no page was open."
 
-    def _reopen(self) -> None:
+    def _reopen(self, finder: Finder) -> None:
         try:
             self.player.close()
             self.player.open()
         except (SourceError, OSError) as error:
             self.state, self.message = "lost", str(error)
         else:
+            finder.forget()
             self.state, self.message = "starting", ""
 
     def _go_to_target(self, finder: Finder) -> None:
@@ -244,6 +250,7 @@ class Engine:
     def _show(self, result: Result) -> None:
         self.jpeg = encode(overlay(result))
         self.result = result
+        self.position = self.player.position
         self._times.append(time.monotonic())
         for stage, ms in ({} if result.detection is None else result.detection.timings).items():
             before = self.latencies.get(stage, ms)

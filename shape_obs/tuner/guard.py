@@ -33,12 +33,12 @@ class Guard:
     """
 
     def __init__(self, app: App, token: str | None, port: int) -> None:
-        self._app, self._token, self._cookie = app, token, f"shape_obs_tune_{port}"
+        self.app, self._token, self._cookie = app, token, f"shape_obs_tune_{port}"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
         if scope["type"] not in ("http", "websocket"):
-            await self._app(scope, receive, send)
+            await self.app(scope, receive, send)
             return
         headers = {name.decode("latin-1").lower(): value.decode("latin-1") for name, value in scope["headers"]}
         by_query = self._has_token(parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", ()))
@@ -52,7 +52,7 @@ class Guard:
                 message["headers"] = [*message.get("headers", ()), (b"set-cookie", cookie.encode())]
             await send(message)
 
-        await self._app(scope, receive, with_cookie)
+        await self.app(scope, receive, with_cookie)
 
     def _may_pass(self, headers: dict[str, str], by_query: bool) -> bool:
         host, origin = headers.get("host", ""), headers.get("origin")

@@ -14,6 +14,7 @@ from nicegui import context, run, ui
 from shape_obs.tuner.engine import Engine
 from shape_obs.tuner.page_controls import Controls
 from shape_obs.tuner.page_image import ImagePanel
+from shape_obs.tuner.page_style import STYLE
 from shape_obs.tuner.page_views import Views
 from shape_obs.tuner.pictures import encode
 from shape_obs.tuner.stages import STAGES, stage_picture
@@ -30,33 +31,6 @@ _STATES: Final = {
     "lost": ("camera lost", "negative"),
     "released": ("released", "grey-7"),
 }
-_STYLE: Final = """
-body { background: #f3f5f8; }
-.nicegui-content { padding: 0; }
-.q-card { box-shadow: 0 1px 2px rgb(16 24 40 / 10%); border: 1px solid #e4e8ee; border-radius: 10px; }
-.tune-body { display: grid; grid-template-columns: minmax(0, 1fr) 380px; grid-template-rows: auto 1fr; gap: 16px;
-  grid-template-areas: "image controls" "views controls"; width: 100%; max-width: 1480px; margin: 0 auto;
-  padding: 16px; align-items: start; }
-.tune-left { grid-area: image; min-width: 0; }
-.tune-right { grid-area: controls; }
-.tune-below { grid-area: views; min-width: 0; }
-.tune-toggle .q-btn { padding: 4px 12px; }
-.q-tab { padding: 0 14px; }
-.tune-title { font-weight: 600; color: #1f2a37; font-size: 15px; }
-.tune-hint { color: #5b6776; font-size: 13px; line-height: 1.4; }
-.tune-area img { touch-action: none; cursor: crosshair; }
-.tune-pick img { cursor: crosshair; }
-.tune-number input { text-align: right; padding: 0 !important; }
-@media (max-width: 899px) {
-  .tune-body { grid-template-columns: minmax(0, 1fr); grid-template-rows: none; gap: 10px; padding: 10px;
-    grid-template-areas: "image" "controls" "views"; }
-  .tune-left { position: sticky; top: 50px; z-index: 5; }
-  .tune-image { padding: 8px; gap: 4px; }
-  .tune-toggle .q-btn { padding: 4px 9px; }
-  .q-tab { padding: 0 10px; min-height: 40px; }
-  .tune-wide { display: none !important; }
-}
-"""
 
 
 def add_page(app: FastAPI, engine: Engine, save_path: Path, is_closing: Callable[[], bool]) -> None:
@@ -68,7 +42,6 @@ def add_page(app: FastAPI, engine: Engine, save_path: Path, is_closing: Callable
         save_path: The file that Save writes.
         is_closing: Whether the server is about to end, so that no request waits any longer.
     """
-
     sent: dict[str, int] = {}
 
     @app.get("/picture/{page}/{request}.jpg")
@@ -108,7 +81,7 @@ class _Page:
         self._engine, self._session, self._save_path = engine, engine.session, save_path
         self._version = -1
         ui.colors(primary="#1e6fd9", positive="#1a8f4c", negative="#c62f3b", warning="#b7791f")
-        ui.add_css(_STYLE)
+        ui.add_css(STYLE)
         self._header()
         with ui.element("div").classes("tune-body"):
             with ui.element("div").classes("tune-left"):
@@ -210,5 +183,6 @@ def _commands(engine: Engine, path: Path) -> str:
     if engine.player.source.kind == "photo":
         return f"shape-obs detect {name} --config {path}"
     if engine.live:
-        return f"shape-obs record --source {name} --seconds 10 -o recording\nshape-obs replay recording --config {path} --video shapes.mp4"
+        record = f"shape-obs record --source {name} --seconds 10 -o recording\n"
+        return f"{record}shape-obs replay recording --config {path} --video shapes.mp4"
     return f"shape-obs replay {name} --config {path} --video shapes.mp4"

@@ -11,6 +11,7 @@ from nicegui.elements.mixins.value_element import ValueElement
 from shape_obs.tuner.controls import Control
 from shape_obs.tuner.engine import Engine
 from shape_obs.tuner.history import Path
+from shape_obs.tuner.page_style import TOGGLE
 
 _SHAPES: Final = {"centerline": "Cable", "contour": "Outline", "surface": "Cloth"}
 _RULES: Final = {"hsv": "Colour range", "gray": "Brightness range", "depth": "Depth range"}
@@ -97,7 +98,7 @@ class Controls:
         session = self._session
         ui.label("Shape").classes("tune-title")
         toggle = ui.toggle(_SHAPES, value=session.shape.kind, on_change=lambda e: self._choose_shape(e.value))
-        toggle.props("dense no-caps unelevated spread toggle-color=primary color=grey-3 text-color=grey-9")
+        toggle.props(f"{TOGGLE} spread")
         toggle.classes("w-full tune-toggle shapes")
         self._keep(lambda: self._session.shape.kind, toggle)
         controls = session.shape_controls()

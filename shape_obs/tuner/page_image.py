@@ -7,6 +7,7 @@ from typing import Final
 from nicegui import events, run, ui
 
 from shape_obs.tuner.engine import Engine
+from shape_obs.tuner.page_style import TOGGLE
 from shape_obs.tuner.pictures import scale_of
 from shape_obs.tuner.reasons import explanations, summary
 
@@ -21,10 +22,20 @@ const image = document.querySelector("#%s img");
 if (!image.dataset.page) {
   image.dataset.page = "%s";
   let count = 0;
-  const next = () => { image.src = `/picture/${image.dataset.page}/${count++}.jpg`; };
-  image.addEventListener("load", next);
-  image.addEventListener("error", () => setTimeout(next, 500));
-  document.readyState === "complete" ? next() : window.addEventListener("load", next);
+  const next = async () => {
+    try {
+      const answer = await fetch(`/picture/${image.dataset.page}/${count++}.jpg`);
+      if (!answer.ok) throw new Error(answer.status);
+      const before = image.src;
+      image.src = URL.createObjectURL(await answer.blob());
+      await image.decode();
+      if (before.startsWith("blob:")) URL.revokeObjectURL(before);
+      setTimeout(next, 0);
+    } catch (error) {
+      setTimeout(next, 500);
+    }
+  };
+  next();
 }
 """
 _SMALLEST: Final = 8  # pixels of an area's sides; a shorter drag was a click
@@ -45,7 +56,7 @@ class ImagePanel:
         with ui.card().classes("w-full p-3 gap-2 tune-image"):
             with ui.row().classes("w-full items-center gap-x-3 gap-y-1"):
                 self._mode = ui.toggle(dict(_MODES), value="pick", on_change=self._choose)
-                self._mode.props("dense no-caps unelevated toggle-color=primary color=grey-3 text-color=grey-9")
+                self._mode.props(TOGGLE)
                 self._mode.classes("tune-toggle mode").set_enabled(not self._session.read_only)
                 self._hint = ui.label(_HINTS["pick"]).classes("tune-hint")
             self._image = ui.interactive_image(
@@ -81,7 +92,7 @@ class ImagePanel:
         self._draw_clicks()
         self._play.props(f"icon={'pause' if engine.playing and engine.state != 'ended' else 'play_arrow'}")
         self._bar.set_visibility(engine.live or player.length != 1 or player.seekable is None)
-        position, length = max(player.position, 0), player.length
+        position, length = max(engine.position, 0), player.length
         self._scrub.props(f"max={max(length - 1, 1)}")
         if self._scrub.value != position:
             self._moving = True

@@ -32,7 +32,7 @@ class Views:
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
         self._shown: tuple[Any, ...] = ()
-        self._next = 0.0
+        self._next, self._far = 0.0, 1.0
         self._cloud: Any = None
         self._marks: list[Any] = []
         with ui.card().classes("w-full p-0 gap-0"):
@@ -91,7 +91,7 @@ class Views:
             "--intrinsics FX FY CX CY."
         ).classes("tune-hint")
         self._scene = ui.scene(width=640, height=420, grid=False, background_color="#f7f9fb")
-        self._scene.classes("w-full").set_visibility(False)
+        self._scene.classes("w-full").style("height: 420px").set_visibility(False)
 
     def _show_space(self, result: Result) -> None:
         cloud = cloud_of(result)
@@ -102,19 +102,20 @@ class Views:
         points = _upright(cloud.points)
         with self._scene:
             if self._cloud is None:
-                self._cloud = self._scene.point_cloud(points.tolist(), cloud.colours.tolist(), 0.004)
-                self._look_at(points)
+                self._cloud = self._scene.point_cloud(points.tolist(), cloud.colours.tolist(), 0.8 * cloud.size)
+                self._look_at(points, points[cloud.inside])
             else:
                 self._cloud.set_points(points.tolist(), cloud.colours.tolist())
             for mark in self._marks:
                 mark.delete()
             self._marks = [] if result.detection is None else self._draw(result.detection)
 
-    def _look_at(self, points: np.ndarray) -> None:
-        middle = np.median(points, axis=0)
-        far = float(np.percentile(np.linalg.norm(points - middle, axis=1), 80))
+    def _look_at(self, points: np.ndarray, inside: np.ndarray) -> None:
+        """Look from where the camera is, and a little from above."""
+        middle = np.median(inside if len(inside) else points, axis=0)
+        self._far = float(np.percentile(np.linalg.norm(points - middle, axis=1), 80))
         x, y, z = middle.tolist()
-        self._scene.move_camera(x, y - 1.6 * far, z + 1.1 * far, x, y, z, 0, 0, 1, duration=0)
+        self._scene.move_camera(x, y - 0.9 * self._far, z + 0.5 * self._far, x, y, z, 0, 0, 1, duration=0)
 
     def _draw(self, detection: Detection) -> list[Any]:
         marks = []
@@ -129,7 +130,7 @@ class Views:
                     marks.append(line)
             for i in np.flatnonzero(known).tolist():
                 colour = "#1a8f4c" if shape.valid[i] else "#b7791f"
-                ball = self._scene.sphere(0.006 if i == 0 else 0.004, 12, 8).material(colour)
+                ball = self._scene.sphere((0.024 if i == 0 else 0.015) * self._far, 12, 8).material(colour)
                 marks.append(ball.move(*points[i].tolist()))
         return marks
 

@@ -112,5 +112,5 @@ class Finder:
                 frame.rgb, frame.depth, frame.camera, stamp=frame.stamp, anchors=moment.anchors
             )
         except (ValueError, TypeError) as error:
-            return Result(self._number, moment, config, roi, tuple(regions), None, str(error))
+            return Result(self._number, moment, config, roi if regions else None, tuple(regions), None, str(error))
         return Result(self._number, moment, config, roi, tuple(regions), detection)

@@ -76,7 +76,7 @@ def serve(
     add_page(app, engine, save_path, lambda: server.should_exit)
     ui.run_with(app, title="shape-obs tune", favicon="🪢", reconnect_timeout=3.0, show_welcome_message=False)
     config = uvicorn.Config(
-        Guard(app, token, port), log_level="error", access_log=False, timeout_graceful_shutdown=1, lifespan="on"
+        Guard(app, token, port), log_level="critical", access_log=False, timeout_graceful_shutdown=1, lifespan="on"
     )
     server = uvicorn.Server(config)
     config.load()
