@@ -119,8 +119,16 @@ class _Page:
             self._state = ui.badge("starting").props("rounded").classes("px-2 py-1")
             ui.space()
             light = "flat dense color=white"
-            self._undo = ui.button(icon="undo", on_click=self._session.undo).props(light).tooltip("Undo (Ctrl+Z)")
-            self._redo = ui.button(icon="redo", on_click=self._session.redo).props(light).tooltip("Redo (Ctrl+Y)")
+            self._undo = (
+                ui.button(icon="undo", on_click=self._session.undo)
+                .props(f"{light} aria-label=Undo")
+                .tooltip("Undo (Ctrl+Z)")
+            )
+            self._redo = (
+                ui.button(icon="redo", on_click=self._session.redo)
+                .props(f"{light} aria-label=Redo")
+                .tooltip("Redo (Ctrl+Y)")
+            )
             ui.button(icon="code", on_click=self._show_python).props(f"{light} aria-label=Python").tooltip(
                 "Copy as Python"
             )

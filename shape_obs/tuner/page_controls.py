@@ -56,8 +56,7 @@ class Controls:
     def _structure(self) -> Any:
         session = self._session
         controls = [(each.path, each.most) for each in (*session.rule_controls(), *session.shape_controls())]
-        roi = session.config.roi
-        return session.shape.kind, session.rule and session.rule.kind, controls, roi.kind == "markers"
+        return session.shape.kind, session.rule and session.rule.kind, controls, session.config.roi.kind
 
     @ui.refreshable_method
     def _build(self) -> None:
