@@ -33,6 +33,7 @@ class Views:
         self._engine = engine
         self._shown: tuple[Any, ...] = ()
         self._next, self._far = 0.0, 1.0
+        self._scene: ui.scene | None = None
         self._cloud: Any = None
         self._marks: list[Any] = []
         with ui.card().classes("w-full p-0 gap-0"):
@@ -72,7 +73,7 @@ class Views:
         with (
             ui.element("div")
             .classes("w-full grid gap-3")
-            .style("grid-template-columns: repeat(auto-fill, minmax(min(220px, 46%), 1fr))")
+            .style("grid-template-columns: repeat(auto-fill, minmax(min(280px, 46%), 1fr))")
         ):
             for name, title in STAGES.items():
                 with ui.column().classes("gap-1 min-w-0"):
@@ -90,34 +91,38 @@ class Views:
             "There is no 3D: the source has no depth, or its intrinsics are unknown. A photo takes --depth FILE and "
             "--intrinsics FX FY CX CY."
         ).classes("tune-hint")
-        self._scene = ui.scene(width=640, height=420, grid=False, background_color="#f7f9fb")
-        self._scene.classes("w-full").style("height: 420px").set_visibility(False)
+        self._space = ui.element("div").classes("w-full")
 
     def _show_space(self, result: Result) -> None:
         cloud = cloud_of(result)
         self._no_space.set_visibility(cloud is None)
-        self._scene.set_visibility(cloud is not None)
+        self._space.set_visibility(cloud is not None)
         if cloud is None or not len(cloud.points):
             return
+        if self._scene is None:  # one that is made while it is hidden has no size
+            with self._space:
+                self._scene = ui.scene(width=640, height=420, grid=False, background_color="#f7f9fb")
+                self._scene.classes("w-full").style("height: 420px")
+        scene = self._scene
         points = _upright(cloud.points)
-        with self._scene:
+        with scene:
             if self._cloud is None:
-                self._cloud = self._scene.point_cloud(points.tolist(), cloud.colours.tolist(), 0.8 * cloud.size)
-                self._look_at(points, points[cloud.inside])
+                self._cloud = scene.point_cloud(points.tolist(), cloud.colours.tolist(), 0.8 * cloud.size)
+                self._look_at(scene, points, points[cloud.inside])
             else:
                 self._cloud.set_points(points.tolist(), cloud.colours.tolist())
             for mark in self._marks:
                 mark.delete()
-            self._marks = [] if result.detection is None else self._draw(result.detection)
+            self._marks = [] if result.detection is None else self._draw(scene, result.detection)
 
-    def _look_at(self, points: np.ndarray, inside: np.ndarray) -> None:
+    def _look_at(self, scene: ui.scene, points: np.ndarray, inside: np.ndarray) -> None:
         """Look from where the camera is, and a little from above."""
         middle = np.median(inside if len(inside) else points, axis=0)
         self._far = float(np.percentile(np.linalg.norm(points - middle, axis=1), 80))
         x, y, z = middle.tolist()
-        self._scene.move_camera(x, y - 0.9 * self._far, z + 0.5 * self._far, x, y, z, 0, 0, 1, duration=0)
+        scene.move_camera(x, y - 0.9 * self._far, z + 0.5 * self._far, x, y, z, 0, 0, 1, duration=0)
 
-    def _draw(self, detection: Detection) -> list[Any]:
+    def _draw(self, scene: ui.scene, detection: Detection) -> list[Any]:
         marks = []
         for shape in detection:
             if shape.points3d is None or not shape.ok:
@@ -126,11 +131,11 @@ class Views:
             known = np.asarray(np.isfinite(points).all(axis=1))
             for first, second in shape.layout.edges():
                 if known[first] and known[second]:
-                    line = self._scene.line(points[first].tolist(), points[second].tolist()).material("#1f2a37")
+                    line = scene.line(points[first].tolist(), points[second].tolist()).material("#1f2a37")
                     marks.append(line)
             for i in np.flatnonzero(known).tolist():
                 colour = "#1a8f4c" if shape.valid[i] else "#b7791f"
-                ball = self._scene.sphere((0.024 if i == 0 else 0.015) * self._far, 12, 8).material(colour)
+                ball = scene.sphere((0.024 if i == 0 else 0.015) * self._far, 12, 8).material(colour)
                 marks.append(ball.move(*points[i].tolist()))
         return marks
 
