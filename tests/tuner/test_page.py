@@ -54,6 +54,7 @@ def photos(tmp_path, drawn) -> Path:
     folder = tmp_path / "photos"
     folder.mkdir()
     photo = cv2.imread(str(drawn))
+    assert photo is not None
     for i in range(40):
         cv2.imwrite(str(folder / f"{i}.jpg"), np.roll(photo, 2 * i, axis=0))
     save_config(tmp_path / "blue.yaml", {"segmentation": BLUE})
@@ -159,6 +160,19 @@ def test_a_phone_shows_everything_within_its_width(browser, drawn, tmp_path):
         click_at(page, 20, 20)
         expect_text(page, ".proposal + button", "Clear 2 clicks")
         page.screenshot(path=tmp_path / "phone.png")
+
+
+def test_depth_gives_a_view_in_space(browser, drawn, tmp_path):
+    cv2.imwrite(str(tmp_path / "depth.png"), np.full((480, 640), 600, np.uint16))
+    with serving(drawn, "--depth", tmp_path / "depth.png", "--intrinsics", 600, 600, 319.5, 239.5) as served:
+        page = opened(browser, served.url)
+        click_at(page, 205, 330)
+        expect_text(page, ".found", "20 points")
+        page.get_by_role("tab", name="3D").click()
+        sync_api.expect(page.locator(".nicegui-scene canvas")).to_be_visible(timeout=PATIENCE)
+        page.get_by_role("tab", name="Points").click()
+        row = page.locator(".points tbody tr").first
+        sync_api.expect(row).to_contain_text("0.600", timeout=PATIENCE)
 
 
 def test_two_pages_show_the_same(browser, drawn, tmp_path):
