@@ -1,6 +1,6 @@
 """Find ordered points in a photo and draw them, without an env.
 
-Run: ``uv run examples/detect_photo.py PHOTO u,v``, where u,v is a pixel on the rope; without arguments it draws a rope.
+Run: ``uv run examples/detect_photo.py PHOTO u,v``, where u,v is a pixel on the rope. Without arguments it draws a rope.
 """
 
 import sys
@@ -12,7 +12,7 @@ from PIL import Image
 
 from shape_obs import Centerline, ShapeDetector
 from shape_obs.drawing import draw_detection
-from shape_obs.image.colour_picker import propose_hsv
+from shape_obs.image.colour_picker import propose_segmentation
 
 
 def drawn_photo() -> np.ndarray:
@@ -30,11 +30,11 @@ def main() -> None:
         u, v = (float(part) for part in sys.argv[2].split(","))
     else:
         photo, u, v = drawn_photo(), 80.0, 240.0
-    segmentation = propose_hsv(photo, (u, v))
-    detector = ShapeDetector([Centerline(n=20, ends="tips")], segmentation)
+    proposal = propose_segmentation(photo, [(u, v)])
+    detector = ShapeDetector([Centerline(n=20, ends="tips")], proposal.rule)
     detection = detector.detect(photo)
     rope = detection["centerline"]
-    print("segmentation:", segmentation.to_dict())
+    print(proposal.text)
     print(f"ok: {rope.ok} {rope.reason}, quality {rope.quality:.2f}, in {detection.timings['total']:.1f} ms")
     print(rope.points2d.round(1))
     picture = Path("detect_photo.png")

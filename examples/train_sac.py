@@ -18,7 +18,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecNormalize
 
 from shape_obs import ShapeGoal, ShapeObservation
-from shape_obs.deploy.policy_bundle import save_bundle
+from shape_obs.deploy.policy_bundle import deploy_command, save_bundle
 from shape_obs.training import GoalDifference
 
 HELD_OUT = 1_000_000  # seed of the starts for evaluation; trainings use seeds far below
@@ -76,6 +76,7 @@ def main(args: Args) -> None:
     model.learn(args.steps - model.num_timesteps, [tell, save], reset_num_timesteps=not args.resume, progress_bar=True)
     save_bundle(model, env, args.out / "cable.policy", summary={"algorithm": "SAC", "steps": model.num_timesteps})
     print(f"{args.out / 'cable.policy'}: after {model.num_timesteps} steps, reward {tell.last_mean_reward:.2f}")
+    print(f"try it on a simulated robot:\n  {deploy_command(args.out / 'cable.policy')}")
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecNormalize, sync_envs_normalization
 
 from shape_obs import ShapeObservation
-from shape_obs.deploy.policy_bundle import save_bundle
+from shape_obs.deploy.policy_bundle import deploy_command, save_bundle
 from shape_obs.training import Curriculum, GoalDifference
 
 GOALS = ("near", "middle", "far")
@@ -78,12 +78,12 @@ def main(args: Args) -> None:
     model.learn(args.steps - model.num_timesteps, [tell, save], reset_num_timesteps=not args.resume, progress_bar=True)
     reached: list[bool] = []
     for goals in GOALS:
-        trial = held_out(args, goals)
-        sync_envs_normalization(env, trial)
+        sync_envs_normalization(env, trial := held_out(args, goals))
         evaluate_policy(model, trial, args.goals, callback=lambda at, _: reached.append(at["info"]["is_success"]))
-        print(f"after {model.num_timesteps} steps: {sum(reached[49::50])} of {args.goals} {goals} goals reached")
-        reached.clear()
-    save_bundle(model, env, args.out / f"{args.env.lower()}.policy", summary={"algorithm": "SAC", "steps": args.steps})
+        count = sum(reached[49::50][-args.goals :])
+        print(f"after {model.num_timesteps} steps: {count} of {args.goals} {goals} goals reached")
+    save_bundle(model, env, path := args.out / f"{args.env.lower()}.policy", summary={"steps": args.steps})
+    print(f"{path}: try it on a simulated robot:\n  {deploy_command(path)}")
 
 
 if __name__ == "__main__":

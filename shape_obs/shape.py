@@ -95,6 +95,18 @@ class Shape:
         vars(self).update(state)
         self.__post_init__()
 
+    def __repr__(self) -> str:
+        """Summarize the shape in two lines: what was found, and its first and last point."""
+        state = "ok" if self.ok else "not ok"
+        reason = f", {self.reason}" if self.reason else ""
+        points, unit = (self.points2d, "px") if self.points3d is None else (self.points3d, "m")
+        first, last = (", ".join(f"{value:.{1 if unit == 'px' else 3}f}" for value in points[i]) for i in (0, -1))
+        return (
+            f"<Shape {self.name!r}: {state}, quality {self.quality:.2f}{reason}; {len(self)} points, "
+            f"{np.count_nonzero(self.visible)} visible, {np.count_nonzero(self.valid)} valid\n"
+            f"  {points.shape[1]}D, first ({first}) {unit}, last ({last}) {unit}>"
+        )
+
     def __len__(self) -> int:
         return len(self.visible)
 
@@ -149,6 +161,12 @@ class Detection:
     warning: str = ""
     more: Mapping[str, int] = field(default_factory=dict)
     crossings: tuple[Crossing, ...] = ()
+
+    def __repr__(self) -> str:
+        """Summarize the shapes, two lines each."""
+        warning = f", {self.warning}" if self.warning else ""
+        lines = [f"<Detection: {len(self)} shapes, {'ok' if self.ok else 'not ok'}{warning}>", *map(repr, self.shapes)]
+        return "\n".join(lines)
 
     def __getitem__(self, name: str) -> Shape:
         if not isinstance(name, str):

@@ -14,30 +14,31 @@ from importlib import import_module
 from typing import Final
 
 from shape_obs import __version__
-from shape_obs.utils.errors import did_you_mean
+from shape_obs.utils.errors import UsageError, did_you_mean
 
 COMMANDS: Final = {
-    "demo": "run an episode of the simulated cable and draw what the camera sees",
-    "tune": "choose the settings on a web page, from a photo, a recording or a camera",
+    "demo": "run an episode of the simulated cable and draw the points",
+    "tune": "choose the settings on a web page",
     "detect": "find the shape in image files",
     "record": "record frames from a camera, a file or an environment",
-    "replay": "find the shape in every frame of a recording, and export it",
+    "replay": "find the shape in every frame of a recording",
     "extract": "find the shapes in many recordings, as a Parquet dataset",
     "fit-features": "fit principal components to recorded shapes",
     "goal": "record the shape that the camera sees now as a goal",
     "ablate": "train with different observations, and compare the results",
     "deploy": "run a policy or a controller on a robot, from the camera alone",
     "markers": "draw markers or a calibration board to print",
-    "calibrate": "measure a camera's intrinsics, and its pose in the robot's base frame",
+    "calibrate": "measure a camera's intrinsics, and its pose in the base frame",
     "bench": "measure accuracy, time and quality",
 }
+_GROUPS: Final = ("calibrate", "bench")  # commands with subcommands
 
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Run a command and exit.
 
     The exit code is 0 on success, 1 with one line on stderr after an error, 2 after wrong usage, and 128 plus the
-    signal's number after a signal, as shells expect.
+    signal's number after a signal, as shells expect. A file that is missing or damaged is an error, not wrong usage.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     if not arguments or arguments[0] in ("-h", "--help"):
@@ -50,6 +51,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     if command not in COMMANDS:
         print(f"shape-obs: unknown command {command!r}{did_you_mean(command, COMMANDS)}", file=sys.stderr)
         sys.exit(2)
+    prog = " ".join(["shape-obs", command, *rest[:1]] if command in _GROUPS else ["shape-obs", command])
     try:
         status = import_module(f"shape_obs.cli.{command.replace('-', '_')}").main(rest)
         sys.stdout.flush()
@@ -59,10 +61,10 @@ def main(argv: Sequence[str] | None = None) -> None:
         sys.exit(1)
     except (ValueError, TypeError, OSError, ImportError) as error:
         message = " ".join(str(error).split()) or type(error).__name__
-        print(f"shape-obs {command}: {message}", file=sys.stderr)
-        sys.exit(1)
+        print(f"{prog}: {message}", file=sys.stderr)
+        sys.exit(2 if isinstance(error, UsageError) else 1)
     except KeyboardInterrupt as interrupt:
-        print(f"shape-obs {command}: {str(interrupt) or 'interrupted'}", file=sys.stderr)
+        print(f"{prog}: {str(interrupt) or 'interrupted'}", file=sys.stderr)
         sys.exit(128 + getattr(interrupt, "signum", signal.SIGINT))
     sys.exit(status)
 
@@ -77,7 +79,7 @@ def run_part(command: str, noun: str, parts: Mapping[str, str], argv: Sequence[s
         argv: The subcommand and its arguments.
 
     Raises:
-        ValueError: There is no such subcommand.
+        UsageError: There is no such subcommand.
     """
     if not argv or argv[0] in ("-h", "--help"):
         width = max(map(len, parts))
@@ -86,7 +88,7 @@ def run_part(command: str, noun: str, parts: Mapping[str, str], argv: Sequence[s
         return 0
     name, *rest = argv
     if name not in parts:
-        raise ValueError(f"unknown {noun} {name!r}{did_you_mean(name, parts)}")
+        raise UsageError(f"unknown {noun} {name!r}{did_you_mean(name, parts)}")
     return int(import_module(f"shape_obs.cli.{command}.{name}").main(rest))
 
 

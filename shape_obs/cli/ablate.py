@@ -9,16 +9,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import tyro
-
 from shape_obs.cli.options import warnings_as_lines
-from shape_obs.utils.errors import did_you_mean
+from shape_obs.cli.parsing import Option, parse
+from shape_obs.utils.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
     from tqdm import tqdm
 
     from shape_obs.ablation import Study
     from shape_obs.ablation.executors import Engine, Outcome
+    from shape_obs.ablation.results import FinishedRun
 
 
 @dataclass(frozen=True)
@@ -29,29 +29,31 @@ class Arguments:
     if a run failed.
     """
 
-    config: Annotated[Path, tyro.conf.Positional]
+    config: Annotated[Path, Option("STUDY", positional=True, existing="file of a study")]
     """A YAML file that describes the study."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    out: Annotated[Path, Option("FOLDER", "output", "-o")]
     """Folder for the runs and the results."""
-    jobs: int | None = None
+    jobs: Annotated[int | None, Option("N", "processing", least=1)] = None
     """Number of parallel runs: processes, default 1; with Ray, cores of the cluster that is started here."""
-    engine: Literal["local", "ray"] = "local"
+    engine: Annotated[Literal["local", "ray"], Option(group="processing")] = "local"
     """Run in processes of this machine, or on a Ray cluster."""
-    address: str | None = None
+    address: Annotated[str | None, Option("ADDRESS", "processing")] = None
     """Address of a Ray cluster: auto or ray://HOST:10001; default: start one on this machine."""
-    only: tuple[str, ...] = ()
+    only: Annotated[tuple[str, ...], Option("ARM ...", "study")] = ()
     """Run only these arms."""
-    seeds: tuple[int, ...] = ()
+    seeds: Annotated[tuple[int, ...], Option("N ...", "study", least=0)] = ()
     """Seeds; replaces those of the config."""
-    table_only: bool = False
+    table_only: Annotated[bool, Option(group="output")] = False
     """Run nothing; make the table and the pictures from finished runs."""
-    json: bool = False
+    json: Annotated[bool, Option(group="output")] = False
     """Print the summary as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = tyro.cli(Arguments, args=list(argv), prog="shape-obs ablate")
+    args = parse(Arguments, argv, "shape-obs ablate")
+    if args.address is not None and args.engine != "ray":
+        raise UsageError("--address: only for a Ray cluster; give --engine ray too.")
     from shape_obs.ablation import load_study
     from shape_obs.ablation.report import need_matplotlib
     from shape_obs.utils.files import make_folder
@@ -60,11 +62,9 @@ def main(argv: Sequence[str]) -> int:
     study = load_study(args.config)
     for name in args.only:
         if name not in study.arms:
-            raise ValueError(f"--only: {args.config} has no arm {name!r}{did_you_mean(name, study.arms)}")
-    if args.address is not None and args.engine != "ray":
-        raise ValueError("--address: only for a Ray cluster; give --engine ray too.")
+            raise UsageError(f"--only: {args.config} has no arm {name!r}{did_you_mean(name, study.arms)}")
     if min(args.seeds, default=0) < 0 or max(args.seeds, default=0) >= study.evaluation.seed:
-        raise ValueError(f"--seeds: expected 0 ... {study.evaluation.seed - 1}, got {list(args.seeds)}.")
+        raise UsageError(f"--seeds: expected 0 ... {study.evaluation.seed - 1}, got {list(args.seeds)}.")
     make_folder(args.out)
     failed = [] if args.table_only else _run(args, study)
     result = _results(args, study)
@@ -120,8 +120,38 @@ def _results(args: Arguments, study: Study) -> dict[str, Any]:
         raise ValueError(f"{args.out}: no run of this study is finished.")
     summary = summarize(study, runs)
     files = [write_results(runs, args.out), write_table(study, summary, args.out), *draw(study, summary, args.out)]
-    return {"arms": summary_to_dict(summary), "table": markdown(study, summary), "files": [str(path) for path in files]}
+    result = {"arms": summary_to_dict(summary), "table": markdown(study, summary), "files": list(map(str, files))}
+    return result if args.table_only else {**result, **_best_policy(args, study, runs)}
+
+
+def _best_policy(args: Arguments, study: Study, runs: Sequence[FinishedRun]) -> dict[str, str]:
+    """Return the file of the best policy and the command that runs it on the simulated robot.
+
+    The best has the smallest final distance from the goals, as the mean of its last evaluation. Policies that can run
+    with a camera come first; if there is none, ``"next"`` is the reason.
+    """
+    from shape_obs.ablation.executors import POLICY
+    from shape_obs.ablation.results import RunFolder
+    from shape_obs.deploy.policy_bundle import BundleError, deploy_command
+
+    def error(run: FinishedRun) -> float:
+        difficulties = study.evaluation.difficulties
+        return sum(run.final_mm(difficulty) for difficulty in difficulties) / len(difficulties)
+
+    best: dict[str, str] = {}
+    for run in sorted(runs, key=error):
+        path = RunFolder(args.out, run.arm, run.seed).path / POLICY
+        try:
+            return {"policy": str(path), "next": deploy_command(path)}
+        except BundleError as problem:  # it reads the simulator's state
+            best = best or {"policy": str(path), "next": f"it is for simulation only: {problem}"}
+        except FileNotFoundError:  # removed by the user
+            continue
+    return best
 
 
 def _text(result: dict[str, Any]) -> str:
-    return "\n".join([result["table"], "", *(f"wrote {path}" for path in result["files"])])
+    lines = [result["table"], "", *(f"wrote {path}" for path in result["files"])]
+    if "policy" in result:
+        lines += [f"best policy: {result['policy']}", f"next: {result['next']}"]
+    return "\n".join(lines)

@@ -7,10 +7,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-import tyro
-
-from shape_obs.cli.options import RobotArguments, make_bare_env, make_env, make_robot, read_config, read_settings
+from shape_obs.cli.options import (
+    RobotArguments,
+    check_name,
+    make_bare_env,
+    make_env,
+    make_robot,
+    read_config,
+    read_settings,
+)
+from shape_obs.cli.parsing import Option, wrong_usage
 from shape_obs.utils.documents import make_named
+from shape_obs.utils.errors import UsageError
 
 #: The value of ``--goal`` for which a simulated robot provides a new goal in each episode.
 _ROBOT: Final = "robot"
@@ -23,27 +31,27 @@ _SETTLE: Final = 0.05
 class ControllerArguments(RobotArguments):
     """Options that choose the policy or controller, and its goal."""
 
-    bundle: Annotated[Path | None, tyro.conf.Positional] = None
+    bundle: Annotated[Path | None, Option("[POLICY]", positional=True, existing="policy")] = None
     """A trained policy, as shape_obs.save_bundle writes it."""
-    trust: bool = False
+    trust: Annotated[bool, Option(group="controller")] = False
     """Load a trained policy that contains code: one of an earlier version, or one with its own classes. Use this only
     if you trust the author of the file."""
-    controller: str | None = None
+    controller: Annotated[str | None, Option("MODULE:CLASS", "controller", check=check_name)] = None
     """A controller instead of a policy, as module:Class with act(observation); shape_obs.deploy has Still, Sway and
     Script. Default: Still."""
-    controller_set: tuple[str, ...] = ()
-    """KEY=VALUE: arguments of the controller's class, such as share=0.2."""
-    goal: str | None = None
+    controller_set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "controller", check=read_settings)] = ()
+    """Arguments of the controller's class, such as share=0.2."""
+    goal: Annotated[str | None, Option("FILE|robot", "controller")] = None
     """A goal file, as `shape-obs goal` writes it; the goal becomes part of the observation. With 'robot', a simulated
     robot provides a goal that it can reach, a new one for each episode."""
-    episodes: int | None = None
+    episodes: Annotated[int | None, Option("N", "run", least=1)] = None
     """Run this many episodes, each from a new start, and report how often the goal was reached."""
-    settle: float | None = None
+    settle: Annotated[float | None, Option("SECONDS", "run", least=0)] = None
     """Seconds between the end of a motion and the image to act on. Default: 0.05 for a trained policy; other
     controllers take the image at the deadline of the step, even during a motion."""
-    steps: int | None = None
+    steps: Annotated[int | None, Option("N", "run", least=1)] = None
     """Largest number of steps; default for episodes with a trained policy: the length of its training episodes."""
-    dry_run: bool = False
+    dry_run: Annotated[bool, Option(group="run")] = False
     """Do everything except move: the robot's state is read, but no motion is sent."""
 
 
@@ -66,6 +74,25 @@ class Deployment:
     threshold: float
 
 
+def check_controller(args: ControllerArguments) -> None:
+    """Reject options that do not go together, before anything slow is imported.
+
+    Raises:
+        UsageError: They do not; the message says which.
+        FileNotFoundError: There is no such goal file.
+    """
+    if args.robot is None:
+        raise UsageError("--robot module:Class is needed; shape_obs_envs.robots:NullRobot moves nothing.")
+    if args.bundle is not None and args.controller is not None:
+        raise UsageError(f"expected a trained policy or --controller, got both: {args.bundle} and {args.controller}.")
+    if args.bundle is not None and args.controller_set:
+        raise UsageError("--controller-set: a trained policy takes no arguments; leave it out.")
+    if args.trust and args.bundle is None:
+        raise UsageError("--trust: only for a trained policy, and none is given; leave it out.")
+    if args.goal not in (None, _ROBOT) and not Path(str(args.goal)).is_file():
+        raise FileNotFoundError(f"{args.goal}: no such goal file")
+
+
 def make_deployment(args: ControllerArguments, **options: Any) -> Deployment:
     """Make the controller, the robot and the environment; nothing is connected yet.
 
@@ -74,24 +101,21 @@ def make_deployment(args: ControllerArguments, **options: Any) -> Deployment:
         options: Further arguments of the environment ``ShapeObs/D455-v0``.
 
     Raises:
-        ValueError: Some of the options do not go together; the message says which.
+        UsageError: A value is invalid, or the policy needs a goal.
     """
     from shape_obs.cli.episodes import RobotGoals, StartFirst
     from shape_obs.deploy import DryRobot
     from shape_obs.wrappers import ShapeGoal, Target
 
-    _check(args)
     if args.settle is None and args.bundle is not None:
         args = replace(args, settle=_SETTLE)
     options |= {"settle": args.settle}
     goal = None if args.goal in (None, _ROBOT) else Target.load(str(args.goal))
     bundle = None if args.bundle is None else _load(args.bundle, args.trust)
     if bundle is None:
-        controller = make_named(
-            args.controller or "shape_obs.deploy:Still",
-            "--controller",
-            read_settings(args.controller_set, "--controller-set"),
-        )
+        settings = read_settings(args.controller_set, "--controller-set")
+        with wrong_usage():
+            controller = make_named(args.controller or "shape_obs.deploy:Still", "--controller", settings)
     else:
         controller = bundle.controller(same_rate=args.rate is None)
         args = _with_training_defaults(args, bundle)
@@ -109,20 +133,6 @@ def make_deployment(args: ControllerArguments, **options: Any) -> Deployment:
     if args.goal == _ROBOT:
         env = RobotGoals(env, own)
     return Deployment(controller, env, robot, args, _CENTIMETRE if bundle is None else bundle.success_threshold)
-
-
-def _check(args: ControllerArguments) -> None:
-    """Reject options that do not go together."""
-    if args.bundle is not None and args.controller is not None:
-        raise ValueError(f"expected a trained policy or --controller, got both: {args.bundle} and {args.controller}.")
-    if args.bundle is not None and args.controller_set:
-        raise ValueError("--controller-set: a trained policy takes no arguments; leave it out.")
-    if args.trust and args.bundle is None:
-        raise ValueError("--trust: only for a trained policy, and none is given; leave it out.")
-    if args.episodes is not None and args.episodes < 1:
-        raise ValueError(f"--episodes: expected 1 or more, got {args.episodes}.")
-    if args.rate is not None and not 0 < args.rate <= 1000:
-        raise ValueError(f"rate: expected hertz above 0, at most 1000, got {args.rate!r}.")
 
 
 def _load(path: Path, trust: bool) -> Any:
@@ -146,7 +156,7 @@ def _scene(args: ControllerArguments, robot: Any) -> dict[str, Any]:
 def _with_training_defaults(args: ControllerArguments, bundle: Any) -> ControllerArguments:
     """Fill in the policy's own rate and episode length unless the user chose others."""
     if bundle.needs_goal and args.goal is None and not bundle.has_goal:
-        raise ValueError("the policy needs a goal: give --goal FILE, or --goal robot if the robot is simulated.")
+        raise UsageError("the policy needs a goal: give --goal FILE, or --goal robot if the robot is simulated.")
     if args.rate is None:
         args = replace(args, rate=1 / bundle.dt)
     elif abs(args.rate * bundle.dt - 1) > 1e-3:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import tyro
+from shape_obs.cli.parsing import Option, parse
 
 if TYPE_CHECKING:
     import numpy as np
@@ -22,15 +22,15 @@ _ORANGE = (235, 130, 40)  # the goal
 class Arguments:
     """Run an episode of the simulated cable through the shape wrapper and draw the detected points."""
 
-    out: Path = Path("demo")
+    out: Annotated[Path, Option("FOLDER", "output")] = Path("demo")
     """Folder for the picture and the animation."""
-    steps: int = 50
+    steps: Annotated[int, Option("N", "episode", least=1, most=50)] = 50
     """Number of steps, at most 50."""
-    seed: int = 0
+    seed: Annotated[int, Option("N", "episode", least=0)] = 0
     """Seed of the start, the goal and the motion."""
-    camera: Literal["d455", "rl"] = "d455"
+    camera: Annotated[Literal["d455", "rl"], Option(group="camera")] = "d455"
     """The simulated camera: 640 x 480 or 160 x 120."""
-    renderer: Literal["auto", "gl", "rays"] = "auto"
+    renderer: Annotated[Literal["auto", "gl", "rays"], Option(group="camera")] = "auto"
     """OpenGL, ray casting, or the first of them that is available."""
 
 
@@ -50,9 +50,7 @@ class Record:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = tyro.cli(Arguments, args=list(argv), prog="shape-obs demo")
-    if not 1 <= args.steps <= 50:
-        raise ValueError(f"--steps: expected 1...50, got {args.steps}.")
+    args = parse(Arguments, argv, "shape-obs demo")
     import numpy as np
 
     from shape_obs.utils.arrays import write_gif, write_image

@@ -6,13 +6,14 @@ import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-import tyro
-
-from shape_obs.cli.controller import ControllerArguments, Deployment, make_deployment
+from shape_obs.cli.controller import ControllerArguments, Deployment, check_controller, make_deployment
 from shape_obs.cli.options import RATE, warnings_as_lines
+from shape_obs.cli.parsing import Option, parse
+from shape_obs.utils.errors import UsageError
 
 
 @dataclass(frozen=True)
@@ -24,49 +25,50 @@ class Arguments(ControllerArguments):
     plus the signal's number after a signal.
     """
 
-    seconds: float | None = 60.0
-    """Longest duration of the run."""
-    until_reached: int = 0
+    seconds: Annotated[float, Option("SECONDS", "run", above=0)] = 60.0
+    """Longest duration of the run; inf for no limit."""
+    until_reached: Annotated[int, Option("N", "run", least=0)] = 0
     """End the run when the goal has been reached in this many consecutive frames; 0 never ends it for that reason."""
-    hold: float = 0.5
+    hold: Annotated[float, Option("SECONDS", "safety", least=0)] = 0.5
     """Seconds to wait without moving for a lost or old shape before the run ends."""
-    min_valid: float = 0.5
+    min_valid: Annotated[float, Option("SHARE", "safety", least=0, most=1)] = 0.5
     """Share of the points that must be measured."""
-    max_age: float = 0.2
+    max_age: Annotated[float, Option("SECONDS", "safety", above=0)] = 0.2
     """Largest age in seconds, since its exposure, of an image to act on; motions end after that time."""
-    watchdog: float = 2.0
+    watchdog: Annotated[float, Option("SECONDS", "safety", above=0)] = 2.0
     """Seconds after which a loop that hangs is ended; its motion has ended after --max-age."""
-    max_step: tuple[float, ...] | None = None
+    max_step: Annotated[tuple[float, ...] | None, Option("X ...", "safety")] = None
     """Largest change of each coordinate in one step, in the robot's units."""
-    workspace_low: tuple[float, ...] | None = None
+    workspace_low: Annotated[tuple[float, ...] | None, Option("X ...", "safety")] = None
     """Lower limit of each coordinate, in the robot's units."""
-    workspace_high: tuple[float, ...] | None = None
+    workspace_high: Annotated[tuple[float, ...] | None, Option("X ...", "safety")] = None
     """Upper limit of each coordinate, in the robot's units."""
-    park: bool = True
+    park: Annotated[bool, Option(group="safety")] = True
     """Send the robot to its safe pose at the end; --no-park leaves it where it is."""
-    log: Path | None = None
+    log: Annotated[Path | None, Option("FOLDER", "output")] = None
     """Folder for the log: the setup, one line per step, and the report."""
-    view: int | None = None
+    view: Annotated[int | None, Option("PORT", "output", least=0, most=65535)] = None
     """Port of a web page that shows what the camera sees; needs the extra 'view'."""
-    json: bool = False
+    json: Annotated[bool, Option(group="output")] = False
     """Print the report as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = tyro.cli(Arguments, args=list(argv), prog="shape-obs deploy")
+    args = parse(Arguments, argv, "shape-obs deploy", check_controller)
+    box = _box(args)
     from threadpoolctl import threadpool_limits
 
     with warnings_as_lines("shape-obs deploy"), threadpool_limits(1):  # small networks are slower on many threads
-        return _run(args)
+        return _run(args, box)
 
 
-def _run(args: Arguments) -> int:
+def _run(args: Arguments, box: Any) -> int:
     from shape_obs.cli.episodes import play
     from shape_obs.deploy import Interrupted, Limits, RunLog, deploy
 
     limits = Limits(args.hold, args.min_valid, args.max_age, args.watchdog)
-    setup = make_deployment(args, max_step=args.max_step, workspace=_box(args))
+    setup = make_deployment(args, max_step=args.max_step, workspace=box)
     header = _header(setup, limits)
 
     def run(number: int | None = None) -> Any:
@@ -77,7 +79,7 @@ def _run(args: Arguments) -> int:
             setup.controller,
             limits,
             steps=setup.arguments.steps,
-            seconds=args.seconds,
+            seconds=None if args.seconds == inf else args.seconds,
             until_reached=args.until_reached,
             log=None if folder is None else RunLog(folder, header),
             on_step=shown.step,
@@ -134,7 +136,7 @@ class _Progress:
             self._view = LiveView(args.view, env)
             print(f"shape-obs deploy: live view at {self._view.url}", file=sys.stderr)
         rate = RATE if args.rate is None else args.rate
-        total = args.steps if args.steps is not None else args.seconds and round(args.seconds * rate)
+        total = args.steps if args.steps is not None else None if args.seconds == inf else round(args.seconds * rate)
         total = total and total * (args.episodes or 1)
         self._bar = tqdm(total=total, unit="step", leave=False, file=sys.stderr)
 
@@ -159,5 +161,5 @@ def _box(args: Arguments) -> Any:
     if low is None and high is None:
         return None
     if low is None or high is None:
-        raise ValueError("--workspace-low and --workspace-high: give both, one number per coordinate.")
+        raise UsageError("--workspace-low and --workspace-high: give both, one number per coordinate.")
     return low, high

@@ -7,12 +7,20 @@ import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
-import tyro
+from tyro.conf import UseAppendAction
+
+from shape_obs.cli.parsing import Option, parse, wrong_usage
+from shape_obs.utils.errors import UsageError
 
 if TYPE_CHECKING:
+    from shape_obs.configurations.base import Configuration
     from shape_obs.detector import ShapeDetector
+    from shape_obs.image.segmentation import Segmentation
+
+#: Low and high hue, saturation and value.
+_Bounds: TypeAlias = tuple[int, int, int, int, int, int]
 
 
 @dataclass(frozen=True)
@@ -25,40 +33,41 @@ class Arguments:
     Describe how the object looks with one of --config, --hsv and --pick.
     """
 
-    images: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    images: Annotated[tuple[Path, ...], Option("IMAGE ...", positional=True)]
     """Image files."""
-    depth: tuple[Path, ...] = ()
-    """Depth files, one per image and aligned to it: 16-bit PNG in millimetres, or .npy (uint16 mm, float m)."""
-    intrinsics: tuple[float, float, float, float] | None = None
-    """fx fy cx cy of the images in pixels; needed with --depth, for 3D points."""
-    config: Path | None = None
+    config: Annotated[Path | None, Option("FILE", "object", existing="config file")] = None
     """A YAML config file, as --pick writes it."""
-    hsv: tuple[int, int, int, int, int, int] | None = None
+    hsv: Annotated[_Bounds | None, Option("H S V H S V", "object", least=0, most=255)] = None
     """The object's colour: low h s v, high h s v (h 0...179, s and v 0...255; red wraps around: 170 ... 10 ...)."""
-    pick: str | None = None
-    """u,v: a pixel on the object in the first image. Proposes an HSV range and writes it to --save-config."""
-    save_config: Path = Path("shape.yaml")
-    """The file that --pick writes."""
-    n: int | None = None
-    """Number of points; default: as in the config, or 20."""
-    ends: str | None = None
+    pick: Annotated[tuple[str, ...], Option("U,V", "object"), UseAppendAction] = ()
+    """A pixel on the object in the first image; may be repeated. The colours of the object are learned and written to
+    --save-config."""
+    not_: Annotated[tuple[str, ...], Option("U,V", "object"), UseAppendAction] = ()
+    """A pixel that is not on the object, though --pick alone takes it; may be repeated."""
+    shape: Annotated[Literal["centerline", "contour", "surface"] | None, Option(group="shape")] = None
+    """Form of the object: 'centerline' for ropes and cables, 'contour' for outlines, 'surface' for cloth. Default: the
+    shapes of the config, or 'centerline'."""
+    n: Annotated[str | None, Option("N|ROWSxCOLUMNS", "shape")] = None
+    """Number of points; of a surface, rows and columns such as 4x8. Default: as in the config, or 20."""
+    ends: Annotated[Literal["centers", "tips"] | None, Option(group="shape")] = None
     """'centers': points at the centres of equal pieces; 'tips': first and last point on the ends of the object."""
-    count: str | None = None
+    count: Annotated[str | None, Option("K|all", "shape")] = None
     """How many objects of one colour to find, each in a slot of its own: a number, or 'all'."""
-    out: Path = Path("overlays")
-    """Folder for the pictures."""
-    track: bool = False
+    depth: Annotated[tuple[Path, ...], Option("FILE ...", "image")] = ()
+    """Depth files, one per image and aligned to it: 16-bit PNG in millimetres, or .npy (uint16 mm, float m)."""
+    intrinsics: Annotated[tuple[float, float, float, float] | None, Option("FX FY CX CY", "image")] = None
+    """fx fy cx cy of the images in pixels; needed with --depth, for 3D points."""
+    track: Annotated[bool, Option(group="image")] = False
     """Treat the images as one sequence: each point keeps its index from image to image."""
+    out: Annotated[Path, Option("FOLDER", "output")] = Path("overlays")
+    """Folder for the pictures."""
+    save_config: Annotated[Path, Option("FILE", "output")] = Path("shape.yaml")
+    """The file that --pick writes."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = tyro.cli(Arguments, args=list(argv), prog="shape-obs detect")
-    if args.depth and len(args.depth) != len(args.images):
-        raise ValueError(f"got {len(args.images)} images but {len(args.depth)} depth files; give one per image.")
-    if args.depth and args.intrinsics is None:
-        raise ValueError("--depth needs --intrinsics FX FY CX CY, which turn depth into 3D points.")
-    _check_unique_names(args.images)
+    args = parse(Arguments, argv, "shape-obs detect", _check)
     from shape_obs.detector import ShapeDetector
     from shape_obs.utils.files import make_folder
 
@@ -74,6 +83,26 @@ def main(argv: Sequence[str]) -> int:
             tqdm.write(f"shape-obs detect: {result['error']}", file=sys.stderr)  # above the bar
         print(json.dumps({"image": str(path), **result}), flush=True)
     return 1 if failed else 0
+
+
+def _check(args: Arguments) -> None:
+    """Reject options that do not go together, before anything slow is imported."""
+    ways = [f"--{name}" for name in ("config", "hsv", "pick") if getattr(args, name) not in (None, ())]
+    if len(ways) != 1:
+        got = " and ".join(ways) or "none"
+        raise UsageError(f"give exactly one of --config FILE, --hsv ... or --pick u,v; got {got}.")
+    if args.depth and len(args.depth) != len(args.images):
+        raise UsageError(f"got {len(args.images)} images but {len(args.depth)} depth files; give one per image.")
+    if args.depth and args.intrinsics is None:
+        raise UsageError("--depth needs --intrinsics FX FY CX CY, which turn depth into 3D points.")
+    if args.not_ and not args.pick:
+        raise UsageError("--not needs --pick u,v: a pixel on the object.")
+    _pixels(args.pick, "--pick")
+    _pixels(args.not_, "--not")
+    if args.config is None:
+        _size(args.n, args.shape or "centerline")
+    _count(args.count)
+    _check_unique_names(args.images)
 
 
 def _with_progress(images: tuple[Path, ...]) -> Iterable[Path]:
@@ -112,48 +141,79 @@ def _detector_arguments(args: Arguments) -> dict[str, Any]:
     """Return the arguments of the detector that the options describe."""
     from shape_obs.config.config_file import detector_arguments, load_config, save_config
     from shape_obs.configurations.base import Configuration
-    from shape_obs.image.colour_picker import propose_hsv
     from shape_obs.image.segmentation import HSVRange
-    from shape_obs.utils.arrays import read_image
 
-    ways = [name for name in ("config", "hsv", "pick") if getattr(args, name) is not None]
-    if len(ways) != 1:
-        raise ValueError(f"give exactly one of --config FILE, --hsv ... or --pick u,v; got {ways or 'none'}.")
     arguments: dict[str, Any]
     if args.config is not None:
         arguments = detector_arguments(load_config(args.config))
     elif args.hsv is not None:
-        arguments = {"segmentation": HSVRange(args.hsv[:3], args.hsv[3:])}
+        with wrong_usage():
+            arguments = {"segmentation": HSVRange(args.hsv[:3], args.hsv[3:])}
     else:
-        arguments = {"segmentation": propose_hsv(read_image(args.images[0]), _pixel(args.pick or ""))}
+        arguments = {"segmentation": _proposed(args)}
     if args.ends is not None:
         arguments["ends"] = args.ends
-    changed = {"n": args.n, "count": _count(args.count)}
-    changed = {name: value for name, value in changed.items() if value is not None}
-    if changed:
-        shapes = arguments.get("shapes", [{"kind": "centerline"}])
-        arguments["shapes"] = [{**Configuration.from_dict(shape).to_dict(), **changed} for shape in shapes]
-    if args.pick is not None:
+    if args.shape is not None:
+        arguments["shapes"] = [{"kind": args.shape}]
+    if args.n is not None or args.count is not None:
+        shapes = map(Configuration.from_dict, arguments.get("shapes", [{"kind": "centerline"}]))
+        arguments["shapes"] = [_changed(shape, args) for shape in shapes]
+    if args.pick:
         save_config(args.save_config, arguments)
-        print(f"wrote {args.save_config}: {arguments['segmentation'].to_dict()}", file=sys.stderr)
+        print(f"shape-obs detect: wrote {args.save_config}", file=sys.stderr)
     return arguments
+
+
+def _proposed(args: Arguments) -> Segmentation:
+    """Return the segmentation that the picked pixels of the first image mean, and print what was found."""
+    from shape_obs.image.colour_picker import propose_segmentation
+    from shape_obs.utils.arrays import read_depth, read_image
+
+    depth = read_depth(args.depth[0]) if args.depth else None
+    picks, nots = _pixels(args.pick, "--pick"), _pixels(args.not_, "--not")
+    proposal = propose_segmentation(read_image(args.images[0]), picks, nots, depth)
+    print(f"shape-obs detect: {proposal.text}", file=sys.stderr)
+    return proposal.rule
+
+
+def _changed(shape: Configuration, args: Arguments) -> Configuration:
+    """Return a configuration with the number of points and of objects that the user chose."""
+    count = {} if args.count is None else {"count": _count(args.count)}
+    with wrong_usage():
+        return shape.from_dict({**shape.to_dict(), **_size(args.n, shape.kind), **count})
+
+
+def _size(text: str | None, kind: str) -> dict[str, int]:
+    """Return the number of points that ``--n`` gives to a shape of this kind, as its arguments."""
+    if text is None:
+        return {}
+    numbers = text.lower().split("x")
+    if not all(number.isdigit() for number in numbers) or len(numbers) > 2:
+        raise UsageError(f"--n: expected a number of points such as 20, or ROWSxCOLUMNS such as 4x8, got {text!r}.")
+    if kind == "surface" and len(numbers) == 1:
+        raise UsageError(f"--n: a surface has rows and columns: expected ROWSxCOLUMNS such as 4x8, got {text!r}.")
+    if kind != "surface" and len(numbers) == 2:
+        raise UsageError(f"--n: a {kind} has one number of points such as 20, got {text!r}; see --shape surface.")
+    return dict(zip(("rows", "cols") if kind == "surface" else ("n",), map(int, numbers), strict=True))
 
 
 def _count(text: str | None) -> int | str | None:
     if text is None or text == "all":
         return text
     if not text.isdigit():
-        raise ValueError(f"--count: expected a number or 'all', got {text!r}.")
+        raise UsageError(f"--count: expected a number or 'all', got {text!r}.")
     return int(text)
 
 
-def _pixel(text: str) -> tuple[float, float]:
-    parts = text.split(",")
-    try:
-        u, v = (float(part) for part in parts)
-    except ValueError:
-        raise ValueError(f"--pick: expected u,v such as 300,123, got {text!r}.") from None
-    return u, v
+def _pixels(texts: Sequence[str], option: str) -> list[tuple[float, float]]:
+    pixels = []
+    for text in texts:
+        try:
+            u, v = (float(part) for part in text.split(","))
+        except ValueError:
+            raise UsageError(f"{option}: expected u,v such as 300,123, got {text!r}.") from None
+        pixels.append((u, v))
+    return pixels
 
 
 def _check_unique_names(images: Sequence[Path]) -> None:
@@ -161,4 +221,4 @@ def _check_unique_names(images: Sequence[Path]) -> None:
     names = [path.stem for path in images]
     twice = {name for name in names if names.count(name) > 1}
     if twice:
-        raise ValueError(f"several images are named {sorted(twice)[0]!r}; their pictures would overwrite each other.")
+        raise UsageError(f"several images are named {sorted(twice)[0]!r}; their pictures would overwrite each other.")

@@ -12,10 +12,10 @@ from glob import glob, has_magic
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import tyro
-
 from shape_obs.cli.options import open_named, warnings_as_lines
+from shape_obs.cli.parsing import Option, parse, wrong_usage
 from shape_obs.utils.documents import parse_yaml
+from shape_obs.utils.errors import UsageError
 
 if TYPE_CHECKING:
     from shape_obs.extraction import Outcome
@@ -29,31 +29,34 @@ class Arguments:
     the dataset, and 1 if some failed: these are listed, and written to _failures.json.
     """
 
-    source: Annotated[tuple[str, ...], tyro.conf.Positional]
+    source: Annotated[tuple[str, ...], Option("RECORDING ...", positional=True)]
     """Recorded folders, folders of images, .db3, .bag and video files, folders that contain these, or patterns."""
-    config: Path
+    config: Annotated[Path, Option("FILE", "detection", existing="config file")]
     """A YAML config file."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    out: Annotated[Path, Option("FOLDER", "output", "-o")]
     """The dataset's folder."""
-    features: tuple[str, ...] = ()
+    features: Annotated[tuple[str, ...], Option("FEATURE ...", "detection")] = ()
     """Features, each a name or a YAML mapping; replaces those of the config."""
-    frames: int | None = None
+    frames: Annotated[int | None, Option("N", "source", least=1)] = None
     """Largest number of frames of each episode."""
-    extrinsics: Path | None = None
+    extrinsics: Annotated[Path | None, Option("FILE", "source", existing="file of extrinsics")] = None
     """A file with the pose of the camera in the base frame; replaces the recorded poses."""
-    jobs: int | None = None
+    jobs: Annotated[int | None, Option("N", "processing", least=1)] = None
     """Number of episodes processed at once; default: 1, or on Ray the number of processors."""
-    engine: Literal["local", "ray"] = "local"
+    engine: Annotated[Literal["local", "ray"], Option(group="processing")] = "local"
     """Processes of this machine, or a Ray cluster (needs the extra 'ray')."""
-    address: str | None = None
+    address: Annotated[str | None, Option("ADDRESS", "processing")] = None
     """Address of the Ray cluster, 'auto' for the one this machine belongs to; default: start one on this machine."""
-    json: bool = False
+    json: Annotated[bool, Option(group="output")] = False
     """Print the summary as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = tyro.cli(Arguments, args=list(argv), prog="shape-obs extract")
+    args = parse(Arguments, argv, "shape-obs extract")
+    if args.address is not None and args.engine != "ray":
+        raise UsageError("--address: only for a Ray cluster; give --engine ray too.")
+    features = [_feature(text) for text in args.features]
     from tqdm import tqdm
 
     from shape_obs.config.config_file import load_config
@@ -62,9 +65,8 @@ def main(argv: Sequence[str]) -> int:
 
     config = load_config(args.config)
     if args.features:
-        config["features"] = [feature.to_dict() for feature in read_features(map(_feature, args.features))]
-    if args.extrinsics is not None and not args.extrinsics.is_file():
-        raise FileNotFoundError(f"--extrinsics: {args.extrinsics}: no such file.")
+        with wrong_usage():
+            config["features"] = [feature.to_dict() for feature in read_features(features)]
     tasks = all_tasks(recordings(args.source))
     job = Extraction(config, args.out, open_named, args.extrinsics, args.frames)
     found: list[Outcome] = []
@@ -160,4 +162,5 @@ def _inside(folder: Path) -> Iterator[Path]:
 
 def _feature(text: str) -> Any:
     """Read one feature, such as ``fourier`` or ``{kind: fourier, harmonics: 4}``."""
-    return parse_yaml(text, f"--features {text[:60]}")
+    with wrong_usage():
+        return parse_yaml(text, f"--features {text[:60]}")

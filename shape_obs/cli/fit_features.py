@@ -9,11 +9,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
-import tyro
-
-from shape_obs.cli.options import open_named, warnings_as_lines
+from shape_obs.cli.options import open_named, read_settings, warnings_as_lines
+from shape_obs.cli.parsing import Option, parse, wrong_usage
 from shape_obs.utils.documents import parse_yaml
-from shape_obs.utils.errors import did_you_mean
+from shape_obs.utils.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
     import numpy as np
@@ -37,29 +36,29 @@ class Arguments:
     every fifth shape if there are fewer than five episodes; the reported error is that of the held-out shapes.
     """
 
-    source: Annotated[tuple[str, ...], tyro.conf.Positional]
+    source: Annotated[tuple[str, ...], Option("TABLE ...", positional=True)]
     """Tables that `shape-obs replay` wrote (.npz, .parquet, .csv); with --config also any recording it can replay."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    out: Annotated[Path, Option("FILE", "output", "-o")]
     """The file for the components, *.npz."""
-    components: int = 6
+    components: Annotated[int, Option("N", "components", least=1)] = 6
     """Number of components."""
-    frame: Literal["pixels", "normalized", "camera", "base"] = "camera"
+    frame: Annotated[Literal["pixels", "normalized", "camera", "base"], Option(group="components")] = "camera"
     """Coordinate frame of the points; 'base' needs the pose of the camera."""
-    origin: str | None = None
+    origin: Annotated[str | None, Option("NAME", "components")] = None
     """Origin of the points: 'centroid'; for recordings also 'anchor' or an anchor's name; default: the frame's own."""
-    align: bool = False
+    align: Annotated[bool, Option(group="components")] = False
     """Remove position, heading and size first and keep them as separate values, so that fewer components suffice."""
-    name: str | None = None
+    name: Annotated[str | None, Option("SHAPE", "source")] = None
     """Name of the shape; default: the first."""
-    config: Path | None = None
+    config: Annotated[Path | None, Option("FILE", "source", existing="config file")] = None
     """A YAML config file, to find shapes in recordings."""
-    extrinsics: Path | None = None
+    extrinsics: Annotated[Path | None, Option("FILE", "source", existing="file of extrinsics")] = None
     """A file with the pose of the camera in the base frame; replaces the recorded pose."""
-    frames: int | None = None
+    frames: Annotated[int | None, Option("N", "source", least=1)] = None
     """Largest number of frames from each source."""
-    set: tuple[str, ...] = ()
-    """KEY=VALUE ...: arguments of the sources."""
-    json: bool = False
+    set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
+    """Arguments of the sources."""
+    json: Annotated[bool, Option(group="output")] = False
     """Print the summary as JSON."""
 
 
@@ -105,16 +104,21 @@ class Samples:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = tyro.cli(Arguments, args=list(argv), prog="shape-obs fit-features")
+    args = parse(Arguments, argv, "shape-obs fit-features")
     if args.out.suffix != ".npz":
-        raise ValueError(f"--out: expected a file named *.npz, got {args.out}.")
-    if args.frames is not None and args.frames < 1:
-        raise ValueError(f"--frames: expected 1 or more, got {args.frames}.")
-    if not args.source:
-        raise ValueError("give at least one table or recording.")
+        raise UsageError(f"--out: expected a file named *.npz, got {args.out}.")
+    recordings = [source for source in args.source if Path(source).suffix not in _TABLES]
+    if recordings and args.config is None:
+        raise UsageError(
+            f"{recordings[0]} is not a table (.npz, .parquet, .csv): give --config FILE to find shapes in it."
+        )
+    for source in args.source:
+        if source not in recordings and not Path(source).is_file():
+            raise FileNotFoundError(f"{source}: no such file.")
     from shape_obs.features.coordinates import Coordinates
 
-    coordinates, samples = Coordinates(args.frame, args.origin, kind="pca"), Samples()
+    with wrong_usage():
+        coordinates, samples = Coordinates(args.frame, args.origin, kind="pca"), Samples()
     hashes: dict[str, Any] = {"schema_hashes": [], "config_hashes": []}
     with warnings_as_lines("shape-obs fit-features"):
         for source in args.source:
@@ -230,8 +234,7 @@ def _read_recording(args: Arguments, source: str, hashes: dict[str, Any]) -> Gen
     from shape_obs.recording.replay import check_depth
     from shape_obs.wrappers.env_protocol import base_point
 
-    if args.config is None:
-        raise ValueError(f"{source} is not a table (.npz, .parquet, .csv): give --config FILE to find shapes in it.")
+    assert args.config is not None  # checked before anything is read
     arguments = load_config(args.config)
     detector = ShapeDetector(**{**detector_arguments(arguments), "on_missing": "nan"})
     _note(hashes, schema_hash(arguments), config_hash(arguments))
@@ -239,7 +242,7 @@ def _read_recording(args: Arguments, source: str, hashes: dict[str, Any]) -> Gen
     spec = next(spec for spec in detector.shapes if spec.name == name)
     with open_named(source, args.extrinsics, args.set) as opened:
         if opened.kind in ("d455", "software", "env") and args.frames is None:
-            raise ValueError(f"{opened.name} never ends: give --frames N.")
+            raise UsageError(f"{opened.name} never ends: give --frames N.")
         check_depth(opened, detector, arguments)
         length = args.frames or (len(opened) if hasattr(opened, "__len__") else None)  # pyright: ignore[reportArgumentType]
         for moment, detection in _bar(replay(opened, detector, args.frames), source, length):
@@ -264,5 +267,5 @@ def _note(hashes: dict[str, Any], *new: str | None) -> None:
 
 def _chosen(name: str | None, known: Sequence[str], where: str) -> str:
     if name is not None and name not in known:
-        raise ValueError(f"--name: {where} has no shape {name!r}{did_you_mean(name, known)}")
+        raise UsageError(f"--name: {where} has no shape {name!r}{did_you_mean(name, known)}")
     return name or known[0]

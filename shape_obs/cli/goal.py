@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import tyro
-
-from shape_obs.cli.options import RobotArguments, make_env, make_robot, warnings_as_lines
+from shape_obs.cli.options import NEEDS_CONFIG, RobotArguments, make_env, make_robot, warnings_as_lines
+from shape_obs.cli.parsing import Option, parse
+from shape_obs.utils.errors import UsageError
 
 
 @dataclass(frozen=True)
@@ -22,23 +22,23 @@ class Arguments(RobotArguments):
     not move.
     """
 
-    out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("goal.yaml")
+    out: Annotated[Path, Option("FILE", "output", "-o")] = Path("goal.yaml")
     """File for the goal; a picture of it is written to the same name with .png."""
-    shape: str | None = None
+    shape: Annotated[str | None, Option("NAME", "detection")] = None
     """Name of the shape; default: the first in the config."""
-    frames: int = 60
+    frames: Annotated[int, Option("N", "detection", least=1)] = 60
     """Largest number of frames to wait for one that shows all points."""
-    unmeasured: bool = False
+    unmeasured: Annotated[bool, Option(group="detection")] = False
     """Also record points that are hidden or have no depth, at their estimated positions."""
-    json: bool = False
+    json: Annotated[bool, Option(group="output")] = False
     """Print the goal as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = tyro.cli(Arguments, args=list(argv), prog="shape-obs goal")
-    if args.frames < 1:
-        raise ValueError(f"--frames: expected 1 or more, got {args.frames}.")
+    args = parse(Arguments, argv, "shape-obs goal")
+    if args.robot is None and args.config is None:
+        raise UsageError(NEEDS_CONFIG)
     from shape_obs.drawing import draw_detection
     from shape_obs.utils.arrays import write_image
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import tyro
-
 from shape_obs.cli.options import DICTIONARY
+from shape_obs.cli.parsing import Option, parse, wrong_usage
+from shape_obs.utils.errors import UsageError
 
 if TYPE_CHECKING:
     from shape_obs.calibration import Board
@@ -23,42 +23,52 @@ class Arguments:
     Print the file at 100 %, without 'fit to page', and check the scale at the bottom with a ruler.
     """
 
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("markers.pdf")
+    out: Annotated[Path, Option("FILE", "output", "-o")] = Path("markers.pdf")
     """The file, *.pdf or *.png."""
-    ids: tuple[int, ...] = (0, 1, 2, 3)
+    ids: Annotated[tuple[int, ...], Option("ID ...", "marker", least=0)] = (0, 1, 2, 3)
     """Ids of the markers."""
-    size: float = 60.0
+    size: Annotated[float, Option("MM", "marker", above=0)] = 60.0
     """Side of a marker's black square in mm."""
-    dictionary: str = DICTIONARY
+    dictionary: Annotated[str, Option("NAME", "marker")] = DICTIONARY
     """Marker dictionary."""
-    paper: Literal["a4", "letter"] = "a4"
+    paper: Annotated[Literal["a4", "letter"], Option(group="output")] = "a4"
     """Paper size."""
-    charuco: bool = False
+    charuco: Annotated[bool, Option(group="board")] = False
     """Draw the board for `calibrate intrinsics` instead."""
-    board: tuple[int, int, float, float] | None = None
+    board: Annotated[tuple[int, int, float, float] | None, Option("COLUMNS ROWS SQUARE MARKER", "board", above=0)] = (
+        None
+    )
     """With --charuco: columns, rows, side of a square and side of a marker in mm; default: 7 5 36 27."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = tyro.cli(Arguments, args=list(argv), prog="shape-obs markers")
+    args = parse(Arguments, argv, "shape-obs markers", _check)
     from shape_obs.markers.sheet import PER_MM, board_page, marker_pages, write_pages
 
     if args.charuco:
-        if (args.ids, args.size) != (Arguments.ids, Arguments.size):
-            raise ValueError("--ids and --size are for single markers; with --charuco use --board.")
-        board = board_from(args.board, args.dictionary)
-        text = describe_board(board)
-        pages = [board_page(board.picture(1000 * PER_MM), text, args.paper)]
+        with wrong_usage():
+            board = board_from(args.board, args.dictionary)
+            text = describe_board(board)
+            pages = [board_page(board.picture(1000 * PER_MM), text, args.paper)]
     else:
-        if args.board is not None:
-            raise ValueError("--board is for a calibration board; give --charuco too.")
-        pages = marker_pages(args.ids, args.size, args.dictionary, args.paper)
+        with wrong_usage():
+            pages = marker_pages(args.ids, args.size, args.dictionary, args.paper)
         text = f"{len(args.ids)} markers of {round(args.size, 1):g} mm"
     write_pages(args.out, pages)
     sheets = "one page" if len(pages) == 1 else f"{len(pages)} pages"
     print(f"wrote {args.out}: {text}, {sheets} of {args.paper}; print at 100 %", file=sys.stderr)
     return 0
+
+
+def _check(args: Arguments) -> None:
+    """Reject options that do not go together, before OpenCV is imported."""
+    if args.out.suffix.lower() not in (".pdf", ".png"):
+        raise UsageError(f"--out: expected a file named *.pdf or *.png, got {args.out}.")
+    if args.charuco and (args.ids, args.size) != (Arguments.ids, Arguments.size):
+        raise UsageError("--ids and --size are for single markers; with --charuco use --board.")
+    if args.board is not None and not args.charuco:
+        raise UsageError("--board is for a calibration board; give --charuco too.")
 
 
 def describe_board(board: Board) -> str:

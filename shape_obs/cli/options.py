@@ -9,9 +9,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
+from shape_obs.cli.parsing import Option, wrong_usage
 from shape_obs.utils.documents import make_named, parse_yaml
+from shape_obs.utils.errors import UsageError
 
 if TYPE_CHECKING:
     from shape_obs.source import RGBDSource
@@ -20,11 +22,19 @@ if TYPE_CHECKING:
 RATE: Final = 30.0
 #: ``shape_obs.markers.DICTIONARY``, repeated here because ``--help`` must not import OpenCV.
 DICTIONARY: Final = "4x4_50"
+NEEDS_CONFIG: Final = (
+    "--config FILE is needed: it describes how the object looks. `shape-obs detect IMAGE --pick u,v` writes one."
+)
 
 _LOG_LEVEL_ERROR: Final = 2  # of OpenCV
 
 
-def open_named(text: str, extrinsics: Path | None = None, settings: Sequence[str] = (), **options: Any) -> RGBDSource:
+def open_named(
+    text: str,
+    extrinsics: Path | None = None,
+    settings: Sequence[str] = (),
+    **options: Any,
+) -> RGBDSource:
     """Make the source that ``--source``, ``--extrinsics`` and ``--set`` describe; it is not connected yet.
 
     Args:
@@ -34,12 +44,17 @@ def open_named(text: str, extrinsics: Path | None = None, settings: Sequence[str
         options: Further arguments of the source's class.
 
     Raises:
-        ValueError: A setting is not ``KEY=VALUE``, or the source does not have it.
+        UsageError: A setting is not ``KEY=VALUE``, or the source does not have it.
         SourceError: There is no such source.
     """
+    options |= read_settings(settings)
     from shape_obs_envs.sources import open_source
 
-    return open_source(text, extrinsics=extrinsics, **options, **read_settings(settings))
+    try:
+        with wrong_usage():
+            return open_source(text, extrinsics=extrinsics, **options)
+    except TypeError as error:
+        raise UsageError(f"--set: {error}") from error
 
 
 def read_settings(settings: Sequence[str], option: str = "--set") -> dict[str, Any]:
@@ -50,15 +65,37 @@ def read_settings(settings: Sequence[str], option: str = "--set") -> dict[str, A
         option: The name of the option, for error messages.
 
     Raises:
-        ValueError: A text is not ``KEY=VALUE``, or its value is not YAML.
+        UsageError: A text is not ``KEY=VALUE``, or its value is not YAML.
     """
     values: dict[str, Any] = {}
     for setting in settings:
         name, equals, value = setting.partition("=")
         if not name.isidentifier() or not equals:
-            raise ValueError(f"{option}: expected KEY=VALUE, such as exposure=0.01, got {setting!r}.")
-        values[name] = parse_yaml(value, f"{option} {setting[:60]}")
+            raise UsageError(f"{option}: expected KEY=VALUE, such as exposure=0.01, got {setting!r}.")
+        with wrong_usage():
+            values[name] = parse_yaml(value, f"{option} {setting[:60]}")
     return values
+
+
+def check_source(text: str, option: str = "--source") -> None:
+    """Report a file that does not exist before the libraries are imported that would read it.
+
+    Raises:
+        FileNotFoundError: ``text`` is the name of a file, and there is none.
+    """
+    if ":" not in text and Path(text).suffix and not Path(text).exists():
+        raise FileNotFoundError(f"{text}: no such file.")
+
+
+def check_name(text: str, option: str) -> None:
+    """Check that ``text`` has the form ``module:Class``, before the module is imported.
+
+    Raises:
+        UsageError: It has another form.
+    """
+    module, _, name = text.partition(":")
+    if not module or not name:
+        raise UsageError(f"{option}: expected module:Class, such as my_lab.arm:Arm, got {text!r}.")
 
 
 @contextmanager
@@ -86,24 +123,24 @@ def warnings_as_lines(prog: str) -> Iterator[None]:
 class RobotArguments:
     """Options that describe a camera, a robot and the object to look for."""
 
-    source: str = "d455"
+    source: Annotated[str, Option("SOURCE", "source", check=check_source)] = "d455"
     """Source of the images: d455, d455:SERIAL, FILE.db3, FILE.bag, a recorded folder, the id of an environment, or
     'robot' for the robot's own camera."""
-    robot: str | None = None
-    """The robot, as module:Class."""
-    set: tuple[str, ...] = ()
-    """KEY=VALUE: further arguments of the source, such as exposure=100."""
-    robot_set: tuple[str, ...] = ()
-    """KEY=VALUE: arguments of the robot's class, such as address=10.0.0.2."""
-    config: Path | None = None
+    robot: Annotated[str | None, Option("MODULE:CLASS", "robot", check=check_name)] = None
+    """The robot's class; shape_obs_envs.robots:SimulatedRobot needs no hardware, NullRobot moves nothing."""
+    set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
+    """Further arguments of the source, such as exposure=100."""
+    robot_set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "robot", check=read_settings)] = ()
+    """Arguments of the robot's class, such as address=10.0.0.2."""
+    config: Annotated[Path | None, Option("FILE", "detection", existing="config file")] = None
     """A YAML config file, as `shape-obs detect` writes it for a picked pixel; default: the robot's own config."""
-    extrinsics: Path | None = None
+    extrinsics: Annotated[Path | None, Option("FILE", "source", existing="file of extrinsics")] = None
     """The pose of the camera in the base frame, as `shape-obs calibrate base` writes it."""
-    size: tuple[int, int] = (640, 480)
+    size: Annotated[tuple[int, int], Option("WIDTH HEIGHT", "source", least=1)] = (640, 480)
     """Width and height of the images in pixels."""
-    rate: float | None = None
+    rate: Annotated[float | None, Option("HZ", "robot", above=0, most=1000)] = None
     """Steps per second; default 30, or the rate at which a trained policy was trained."""
-    timeout: float = 1.0
+    timeout: Annotated[float, Option("SECONDS", "source", above=0)] = 1.0
     """Seconds without a frame after which the camera counts as failed."""
 
 
@@ -111,12 +148,14 @@ def make_robot(args: RobotArguments) -> Any:
     """Make the robot that ``--robot`` names; it is not connected yet.
 
     Raises:
-        ValueError: No robot was given, or it cannot be made.
+        UsageError: No robot was given, or it cannot be made.
         ImportError: Its module cannot be imported.
     """
     if args.robot is None:
-        raise ValueError("--robot module:Class is needed; shape_obs_envs.robots:NullRobot moves nothing.")
-    return make_named(args.robot, "--robot", read_settings(args.robot_set, "--robot-set"))
+        raise UsageError("--robot module:Class is needed; shape_obs_envs.robots:NullRobot moves nothing.")
+    settings = read_settings(args.robot_set, "--robot-set")
+    with wrong_usage():
+        return make_named(args.robot, "--robot", settings)
 
 
 def make_env(args: RobotArguments, robot: Any, **options: Any) -> Any:
@@ -168,15 +207,12 @@ def read_config(args: RobotArguments, robot: Any) -> dict[str, Any]:
     """Return the arguments of ``ShapeObservation`` in ``--config``; empty if the robot brings its own.
 
     Raises:
-        ValueError: There is no config, and the robot has none of its own.
+        UsageError: There is no config, and the robot has none of its own.
     """
     from shape_obs.config.config_file import load_config
 
     if args.config is None and not getattr(robot, "shape_obs_defaults", None):
-        raise ValueError(
-            "--config FILE is needed: it describes how the object looks. `shape-obs detect IMAGE --pick u,v` writes "
-            "one."
-        )
+        raise UsageError(NEEDS_CONFIG)
     config = {} if args.config is None else load_config(args.config)
     if config.get("on_invalid") == "nan":  # the detector's default, which saved files contain; no policy reads NaN
         del config["on_invalid"]

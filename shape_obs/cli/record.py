@@ -9,15 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import tyro
-
-from shape_obs.cli.options import open_named, warnings_as_lines
+from shape_obs.cli.options import check_source, open_named, read_settings, warnings_as_lines
+from shape_obs.cli.parsing import Option, parse
+from shape_obs.utils.errors import UsageError
 
 if TYPE_CHECKING:
     from tqdm import tqdm
 
     from shape_obs.recording import Recorded
-    from shape_obs.source import RGBDSource
 
 
 @dataclass(frozen=True)
@@ -28,29 +27,32 @@ class Arguments:
     source failed.
     """
 
-    source: str
+    source: Annotated[str, Option("SOURCE", "source", check=check_source)]
     """d455[:serial], FILE.db3, FILE.bag, a folder, a video file, or the id of an environment."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    out: Annotated[Path, Option("RECORDING", "output", "-o")]
     """A new or empty folder, or FILE.db3 for librealsense's own format (cameras only)."""
-    frames: int | None = None
+    frames: Annotated[int | None, Option("N", "length", least=1)] = None
     """Number of frames; default: until the source ends or Ctrl-C."""
-    seconds: float | None = None
+    seconds: Annotated[float | None, Option("SECONDS", "length", above=0)] = None
     """Length of the recording, by the stamps of the frames."""
-    extrinsics: Path | None = None
+    extrinsics: Annotated[Path | None, Option("FILE", "source", existing="file of extrinsics")] = None
     """A file with the pose of the camera in the base frame; it is stored in the recording."""
-    depth: Literal["auto", "yes", "no"] = "auto"
+    depth: Annotated[Literal["auto", "yes", "no"], Option(group="source")] = "auto"
     """'auto' records depth if the source has it, 'yes' requires it, 'no' leaves it out."""
-    set: tuple[str, ...] = ()
-    """KEY=VALUE ...: arguments of the source, such as exposure=0.01, or seed=1 actions=random for an environment."""
-    json: bool = False
+    set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
+    """Arguments of the source, such as exposure=0.01, or seed=1 actions=random for an environment."""
+    json: Annotated[bool, Option(group="output")] = False
     """Print the summary as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = tyro.cli(Arguments, args=list(argv), prog="shape-obs record")
+    args = parse(Arguments, argv, "shape-obs record")
+    raw = args.out.suffix in (".db3", ".bag")
+    if raw:
+        _check_raw(args)
     with warnings_as_lines("shape-obs record"):
-        recorded = _raw(args) if args.out.suffix in (".db3", ".bag") else _folder(args)
+        recorded = _raw(args) if raw else _folder(args)
     print(json.dumps(recorded.to_dict()) if args.json else summary(recorded))
     if recorded.stopped not in ("done", "interrupted"):
         print(f"shape-obs record: {recorded.stopped}", file=sys.stderr)
@@ -91,9 +93,7 @@ def _raw(args: Arguments) -> Recorded:
     from shape_obs.recording.format import read_moments
     from shape_obs.source import SourceError
 
-    if args.depth == "no":
-        raise ValueError(f"{args.out}: librealsense's own format always contains depth; use a folder with --depth no.")
-    source = _camera(args)
+    source = open_named(args.source, args.extrinsics, args.set, record_to=args.out)
     recorded = Recorded(args.out)
     with source, _bar(args) as bar:
         try:
@@ -110,12 +110,14 @@ def _raw(args: Arguments) -> Recorded:
     return recorded
 
 
-def _camera(args: Arguments) -> RGBDSource:
+def _check_raw(args: Arguments) -> None:
+    """Reject what cannot be recorded in librealsense's own format."""
+    if args.depth == "no":
+        raise UsageError(f"{args.out}: librealsense's own format always contains depth; use a folder with --depth no.")
     if not args.source.lower().startswith("d455"):
-        raise ValueError(
+        raise UsageError(
             f"{args.out}: only a camera (d455) can be recorded to {args.out.suffix}; give a folder for {args.source}."
         )
-    return open_named(args.source, args.extrinsics, args.set, record_to=args.out)
 
 
 def _bar(args: Arguments) -> tqdm:

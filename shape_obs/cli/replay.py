@@ -11,9 +11,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import tyro
-
-from shape_obs.cli.options import open_named, warnings_as_lines
+from shape_obs.cli.options import check_source, open_named, read_settings, warnings_as_lines
+from shape_obs.cli.parsing import Option, parse
+from shape_obs.utils.errors import UsageError
 
 if TYPE_CHECKING:
     from shape_obs.source import RGBDSource
@@ -26,42 +26,45 @@ class Arguments:
     The exit code is 0 if every frame was processed, even if its shape was not found.
     """
 
-    recording: Annotated[str, tyro.conf.Positional]
+    recording: Annotated[str, Option("RECORDING", positional=True, check=check_source)]
     """A folder, FILE.db3, FILE.bag or a video file; or, with --frames, d455[:serial] or the id of an environment."""
-    config: Path | None = None
+    config: Annotated[Path | None, Option("FILE", "detection", existing="config file")] = None
     """A YAML config file; needed unless --verify is given."""
-    csv: Path | None = None
+    csv: Annotated[Path | None, Option("FILE", "output")] = None
     """Write the shapes as a CSV table, and FILE.meta.json next to it."""
-    npz: Path | None = None
+    npz: Annotated[Path | None, Option("FILE", "output")] = None
     """Write the shapes as NumPy arrays."""
-    parquet: Path | None = None
+    parquet: Annotated[Path | None, Option("FILE", "output")] = None
     """Write the shapes as a Parquet table (needs the extra 'parquet')."""
-    video: Path | None = None
+    video: Annotated[Path | None, Option("FILE", "output")] = None
     """Write the frames with the shapes drawn over them: .mp4 or .avi."""
-    frames: int | None = None
+    frames: Annotated[int | None, Option("N", "source", least=1)] = None
     """Largest number of frames."""
-    extrinsics: Path | None = None
+    extrinsics: Annotated[Path | None, Option("FILE", "source", existing="file of extrinsics")] = None
     """A file with the pose of the camera in the base frame; replaces the recorded pose."""
-    set: tuple[str, ...] = ()
-    """KEY=VALUE ...: arguments of the source."""
-    verify: bool = False
+    set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
+    """Arguments of the source."""
+    verify: Annotated[bool, Option(group="source")] = False
     """First check every frame against its checksum, and list all damaged frames."""
-    json: bool = False
+    json: Annotated[bool, Option(group="output")] = False
     """Print the summary as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = tyro.cli(Arguments, args=list(argv), prog="shape-obs replay")
+    args = parse(Arguments, argv, "shape-obs replay")
     if args.config is None and not args.verify:
-        raise ValueError("give --config FILE to detect with, or --verify to check the recording.")
-    from shape_obs.config.config_file import load_config
-
-    arguments = None if args.config is None else load_config(args.config)
+        raise UsageError("give --config FILE to detect with, or --verify to check the recording.")
     tables = _tables(args)
+    from shape_obs.config.config_file import load_config
+    from shape_obs.recording.table import check_table_path
+
+    for path in tables:
+        check_table_path(path)
+    arguments = None if args.config is None else load_config(args.config)
     with warnings_as_lines("shape-obs replay"), open_named(args.recording, args.extrinsics, args.set) as source:
         if source.kind in ("d455", "software", "env") and args.frames is None:
-            raise ValueError(f"{source.name} never ends: give --frames N.")
+            raise UsageError(f"{source.name} never ends: give --frames N.")
         result: dict[str, Any] = {"source": source.name}
         if args.verify:
             result["verified"] = _verify(source, args.frames)
@@ -88,16 +91,13 @@ def summary(result: dict[str, Any]) -> str:
 
 
 def _tables(args: Arguments) -> list[Path]:
-    """Return the tables to write, after checking their names before the work begins."""
-    from shape_obs.recording.table import check_table_path
-
+    """Return the tables to write, after checking their names."""
     tables = []
     for suffix, path in ((".csv", args.csv), (".npz", args.npz), (".parquet", args.parquet)):
         if path is None:
             continue
         if path.suffix != suffix:
-            raise ValueError(f"--{suffix[1:]}: expected a file named *{suffix}, got {path}.")
-        check_table_path(path)
+            raise UsageError(f"--{suffix[1:]}: expected a file named *{suffix}, got {path}.")
         tables.append(path)
     return tables
 

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
-import tyro
-
-from shape_obs.cli.options import open_named, warnings_as_lines
+from shape_obs.cli.options import check_source, open_named, read_settings, warnings_as_lines
+from shape_obs.cli.parsing import Option, parse
+from shape_obs.utils.errors import UsageError
 
 if TYPE_CHECKING:
     from shape_obs.source import RGBDSource
+
+#: ``shape_obs_envs.sources.sequence.PHOTOS``, repeated here because arguments are checked before OpenCV is imported.
+PHOTOS: Final = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 
 
 @dataclass(frozen=True)
@@ -23,38 +25,49 @@ class Arguments:
     Prints the URL of the page and serves it until Ctrl-C. Only this machine can open it, unless --host is given.
     """
 
-    source: Annotated[str, tyro.conf.Positional]
+    source: Annotated[str, Option("SOURCE", positional=True, check=check_source)]
     """A photo, a video, a folder of photos, a recording, d455[:serial], FILE.db3, FILE.bag, or the id of an
     environment."""
-    config: Path | None = None
+    config: Annotated[Path | None, Option("FILE", "settings", existing="config file")] = None
     """A YAML config file to start with."""
-    save: Path | None = None
-    """The YAML file that Save writes; default: --config, or shape.yaml."""
-    port: int = 8600
-    """Port of the page; 0 for any that is free."""
-    host: str = "127.0.0.1"
-    """Address of the network interface that serves the page; 0.0.0.0 for all, for which the URL contains a token."""
-    read_only: bool = False
+    save: Annotated[Path | None, Option("FILE", "settings")] = None
+    """The YAML file that Save writes; by default --config, or shape.yaml."""
+    read_only: Annotated[bool, Option(group="settings")] = False
     """Show everything, but change and save nothing."""
-    no_open: bool = False
+    port: Annotated[int, Option("N", "page", least=0, most=65535)] = 8600
+    """Port of the page; 0 for any that is free."""
+    host: Annotated[str, Option("ADDRESS", "page")] = "127.0.0.1"
+    """Network interface that serves the page; 0.0.0.0 for all. The URL then contains a token, without which requests
+    are refused."""
+    no_open: Annotated[bool, Option(group="page")] = False
     """Do not open a browser."""
-    set: tuple[str, ...] = ()
-    """KEY=VALUE ...: arguments of the source, such as actions=random."""
-    extrinsics: Path | None = None
+    set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
+    """Arguments of the source, such as actions=random."""
+    extrinsics: Annotated[Path | None, Option("FILE", "source", existing="file of extrinsics")] = None
     """A file with the pose of the camera in the base frame."""
-    depth: Path | None = None
+    depth: Annotated[Path | None, Option("FILE", "source", existing="depth file")] = None
     """The depth of a photo, aligned to it: 16-bit PNG in millimetres, or .npy (uint16 mm, float m)."""
-    intrinsics: tuple[float, float, float, float] | None = None
-    """fx fy cx cy of a photo in pixels; with --depth it gives 3D points."""
+    intrinsics: Annotated[tuple[float, float, float, float] | None, Option("FX FY CX CY", "source")] = None
+    """Of a photo, in pixels; with --depth they give 3D points."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = tyro.cli(Arguments, args=list(argv), prog="shape-obs tune")
-    if not 0 <= args.port <= 65535:
-        raise ValueError(f"--port: expected 0...65535, got {args.port}.")
+    args = parse(Arguments, argv, "shape-obs tune", _check)
     with warnings_as_lines("shape-obs tune"):
         return _tune(args)
+
+
+def _check(args: Arguments) -> None:
+    if not _is_photo(args) and (args.depth is not None or args.intrinsics is not None):
+        raise UsageError("--depth and --intrinsics belong to a photo; other sources bring their own.")
+    if args.depth is not None and args.intrinsics is None:
+        raise UsageError("--depth needs --intrinsics FX FY CX CY, which turn depth into 3D points.")
+
+
+def _is_photo(args: Arguments) -> bool:
+    path = Path(args.source)
+    return path.suffix.lower() in PHOTOS and not path.is_dir()
 
 
 def _tune(args: Arguments) -> int:
@@ -84,12 +97,8 @@ def _tune(args: Arguments) -> int:
 
 def _open(args: Arguments) -> RGBDSource:
     """Make the source; a single photo is a source of one frame."""
+    if not _is_photo(args):
+        return open_named(args.source, args.extrinsics, args.set)
     from shape_obs_envs.sources.photo import PhotoSource
-    from shape_obs_envs.sources.sequence import PHOTOS
 
-    path = Path(args.source)
-    if path.suffix.lower() in PHOTOS and not path.is_dir():
-        return PhotoSource(path, args.extrinsics, depth=args.depth, intrinsics=args.intrinsics)
-    if args.depth is not None or args.intrinsics is not None:
-        print("shape-obs tune: --depth and --intrinsics belong to a photo; they are ignored.", file=sys.stderr)
-    return open_named(args.source, args.extrinsics, args.set)
+    return PhotoSource(Path(args.source), args.extrinsics, depth=args.depth, intrinsics=args.intrinsics)

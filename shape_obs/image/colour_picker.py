@@ -1,94 +1,38 @@
-"""A first HSV range from one pixel on the object."""
+"""From clicks on a photo to a segmentation that finds the object in every frame."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.image.segmentation import HUES, HSVRange, Segmentation
+from shape_obs.image.click_regions import Mask, Photo, Pixel, around, border_changes
+from shape_obs.image.click_trials import INSIDE, Trial, hits, masked, pieces, trials
+from shape_obs.image.clicked_colours import ClickedColours
+from shape_obs.image.segmentation import Segmentation
 
-_PATCH: Final = 3
-_COLOURFUL: Final = 60  # saturation from which hue means something
-_HUE_REACH: Final = 12
-_MAX_SHARE: Final = 0.5
-
-
-def propose_hsv(rgb: npt.NDArray[np.uint8], pixel: tuple[float, float]) -> HSVRange:
-    """Propose the HSV range of the object under a pixel.
-
-    Pixels that resemble the picked one and are connected with it are gathered, and the range is widened to hold
-    nearly all of them: by hue where the object has a colour, by saturation and brightness where it is gray.
-
-    Args:
-        rgb: ``(H, W, 3)`` uint8, RGB.
-        pixel: (u, v) on the object.
-
-    Raises:
-        ValueError: The pixel lies outside the image, or half of the image looks like it.
-    """
-    height, width = rgb.shape[:2]
-    u, v = round(pixel[0]), round(pixel[1])
-    if not (0 <= u < width and 0 <= v < height):
-        raise ValueError(f"pick: pixel ({u}, {v}) lies outside the image of {width} x {height} pixels.")
-    hsv = cv2.cvtColor(rgb, cv2.COLOR_RGB2HSV)
-    patch = hsv[max(v - _PATCH, 0) : v + _PATCH + 1, max(u - _PATCH, 0) : u + _PATCH + 1].reshape(-1, 3)
-    like = patch[np.linalg.norm(patch.astype(float) - hsv[v, u], axis=1) < 60]
-    hue, saturation, value = _middle_hue(like[:, 0]), *(float(np.median(like[:, i])) for i in (1, 2))
-    turned = (hsv[..., 0].astype(np.int16) - round(hue) + HUES // 2) % HUES - HUES // 2
-    if saturation >= _COLOURFUL:
-        rule = (np.abs(turned) <= _HUE_REACH) & (hsv[..., 1] >= 0.5 * saturation) & (hsv[..., 2] >= 0.35 * value)
-    else:
-        rule = (hsv[..., 1] <= saturation + 40) & (np.abs(hsv[..., 2] - value) <= 35)
-    object_mask = _component_at(rule, u, v)
-    if object_mask.mean() > _MAX_SHARE:
-        raise ValueError(
-            f"pick: {object_mask.mean():.0%} of the image looks like pixel ({u}, {v}); pick a pixel on the object, "
-            "not on the background, or give the range with --hsv."
-        )
-    return _range_of(hsv[object_mask], turned[object_mask], hue, colourful=saturation >= _COLOURFUL)
+_LARGEST: Final = 960  # pixels: larger photos are reduced while clicks are interpreted
+_STRICTNESS: Final = (0.0, -3.0, -1.5, 1.5, 3.0, 5.0, 8.0)
+_MOST: Final = 0.6  # share of the image
+_SAME: Final = 0.93  # intersection over union of masks that are as good as equal
 
 
-def _range_of(hsv: npt.NDArray[Any], turned: npt.NDArray[Any], hue: float, *, colourful: bool) -> HSVRange:
-    low, high = np.percentile(hsv[:, 1:], (1, 99), axis=0)
-    if not colourful:
-        bounds = np.clip([low - 10, high + 15], 0, 255).astype(int)
-        return HSVRange((0, int(bounds[0, 0]), int(bounds[0, 1])), (HUES - 1, int(bounds[1, 0]), int(bounds[1, 1])))
-    near, far = np.percentile(turned, (1, 99))
-    first, last = (round(hue + near) - 5) % HUES, (round(hue + far) + 5) % HUES
-    saturation, value = np.clip(low * (0.85, 0.7), 20, 255).astype(int)
-    return HSVRange((int(first), int(saturation), int(value)), (int(last), 255, 255))
-
-
-def _middle_hue(hues: npt.NDArray[Any]) -> float:
-    """Return the mean on the circle of hues."""
-    angle = np.angle(np.mean(np.exp(2j * np.pi * hues.astype(float) / HUES)))
-    return float(angle / (2 * np.pi) * HUES % HUES)
-
-
-def _component_at(rule: npt.NDArray[np.bool_], u: int, v: int) -> npt.NDArray[np.bool_]:
-    """Return the part of a mask that is connected with a pixel, small holes and cracks closed."""
-    square = np.ones((3, 3), np.uint8)
-    labels = np.asarray(cv2.connectedComponents(cv2.morphologyEx(rule.view(np.uint8), cv2.MORPH_CLOSE, square))[1])
-    return (labels == labels[v, u]) & rule if labels[v, u] else rule
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Proposal:
     """A segmentation that fits clicks on an image.
 
     Attributes:
         rule: The pixel rule, with its clean-up.
-        mask: ``(H, W)`` bool, the object that was clicked in this image.
+        mask: ``(H, W)`` bool, what the rule finds in this image.
         text: What was found, in plain words.
     """
 
     rule: Segmentation
-    mask: npt.NDArray[np.bool_]
+    mask: Mask
     text: str
 
 
@@ -100,6 +44,9 @@ def propose_segmentation(
 ) -> Proposal:
     """Propose the segmentation of the object under some pixels.
 
+    One click is often enough. If something is missing, click it too; if something else was taken, give a pixel of it in
+    ``nots``. Where depth changes abruptly the object is taken to end, even if what is behind it has its colour.
+
     Args:
         rgb: ``(H, W, 3)`` uint8, RGB.
         picks: (u, v) on the object, at least one.
@@ -109,7 +56,107 @@ def propose_segmentation(
     Raises:
         ValueError: A pixel lies outside the image, or no rule separates the object from its surroundings.
     """
-    rule = propose_hsv(rgb, picks[0])
-    u, v = round(picks[0][0]), round(picks[0][1])
-    mask = _component_at(rule.matches(rgb) > 0, u, v)
-    return Proposal(rule, mask, f"{np.count_nonzero(mask)} pixels have the colour of ({u}, {v}).")
+    height, width = rgb.shape[:2]
+    if not picks:
+        raise ValueError("pick: expected at least one pixel on the object, got none.")
+    for u, v in (*picks, *nots):
+        if not (0 <= round(u) < width and 0 <= round(v) < height):
+            raise ValueError(f"pick: pixel ({u:g}, {v:g}) lies outside the image of {width} x {height} pixels.")
+    scale = min(1.0, _LARGEST / max(height, width))
+    small, depth_there = rgb, depth
+    if scale < 1:
+        size = round(width * scale), round(height * scale)
+        small = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
+        depth_there = None if depth is None else np.asarray(cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST))
+    photo = Photo(small, depth_there)
+    on, off = _scaled(picks, scale, photo), _scaled(nots, scale, photo)
+    tried = list(trials(photo, on, off))
+    if not tried:
+        raise ValueError(
+            f"pick: nothing around {_listed(picks)} has a colour of its own; pick a pixel in the middle of the object, "
+            "or give the colours with --hsv."
+        )
+    rule = _finished(photo, max(tried, key=lambda trial: trial.score), on, off)
+    rule = replace(rule, picks=tuple(map(tuple, picks)), nots=tuple(map(tuple, nots)))
+    mask = _found(rule, rgb)
+    if mask.mean() > _MOST:
+        raise ValueError(
+            f"pick: {mask.mean():.0%} of the image looks like {_listed(picks)}; pick a pixel on the object, not on the "
+            "background, or give pixels of the background with --not."
+        )
+    return Proposal(rule, mask, _explained(mask, picks, nots))
+
+
+def _scaled(pixels: Sequence[tuple[float, float]], scale: float, photo: Photo) -> list[Pixel]:
+    height, width = photo.shape
+    return [(min(round(u * scale), width - 1), min(round(v * scale), height - 1)) for u, v in pixels]
+
+
+def _finished(photo: Photo, best: Trial, picks: list[Pixel], nots: list[Pixel]) -> ClickedColours:
+    """Return the rule with its threshold where edges are steepest, and with as little clean-up as is needed."""
+    hit, area = hits(best.found, picks, nots)[0], np.count_nonzero(best.found)
+    rule, steepest = best.rule, -1.0
+    for strictness in _STRICTNESS:
+        other = replace(best.rule, strictness=strictness)
+        found, _ = pieces(masked(photo, best.odds, other), other, picks)
+        if hits(found, picks, nots)[0] < hit or not 0.5 * area < np.count_nonzero(found) < 1.6 * area:
+            continue
+        steepness = float(border_changes(photo, found, -0.3, 1.3, smooth=False).mean())
+        if steepness > steepest:
+            rule, steepest = other, steepness
+    # What is thin may be the border of something else, where colours mix; the object must not lose by this.
+    _, clicked = pieces(masked(photo, best.odds, rule), rule, picks)
+    opened = replace(rule, open=3)
+    if np.count_nonzero(opened.clean(clicked.astype(np.uint8))) > _SAME * np.count_nonzero(clicked):
+        rule = opened
+    # Without clean-up the fast search by colour is open to the detector.
+    found, _ = pieces(masked(photo, best.odds, rule), rule, picks)
+    bare = replace(rule, open=0, close=0)
+    plain, _ = pieces(masked(photo, best.odds, bare), bare, picks)
+    if np.count_nonzero(plain & found) > _SAME * np.count_nonzero(plain | found):
+        rule, found = bare, plain
+    return _without_smaller_pieces(photo, best, rule, picks, nots)
+
+
+def _without_smaller_pieces(
+    photo: Photo, best: Trial, rule: ClickedColours, picks: list[Pixel], nots: list[Pixel]
+) -> ClickedColours:
+    """Raise ``min_share`` where that removes pieces of the object's colour which are not it."""
+    mask = masked(photo, best.odds, rule)
+    _, own = pieces(mask, rule, picks)
+    wrong = [pieces(mask, rule, [no])[1] for no in nots if around(mask, no) >= INSIDE]
+    wrong = [piece for piece in wrong if not (piece & own).any()]
+    labels = np.asarray(cv2.connectedComponents(own.view(np.uint8), connectivity=8)[1])
+    areas = np.bincount(labels.ravel())[1:]
+    if not wrong or not len(areas):
+        return rule
+    share = max(np.count_nonzero(piece) for piece in wrong) / areas.max()
+    return (
+        replace(rule, min_share=round(min(1.05 * share, 1.0), 3)) if 1.02 * share < areas.min() / areas.max() else rule
+    )
+
+
+def _found(rule: ClickedColours, rgb: npt.NDArray[np.uint8]) -> Mask:
+    """Return what a detector finds with the rule in an image."""
+    mask = rule.clean(rule.matches(rgb).astype(np.uint8)).view(np.bool_)
+    return pieces(mask, rule, [])[0]
+
+
+def _explained(mask: Mask, picks: Sequence[tuple[float, float]], nots: Sequence[tuple[float, float]]) -> str:
+    """Say what was found, and which clicks could not be obeyed."""
+    count = cv2.connectedComponents(mask.view(np.uint8), connectivity=8)[0] - 1
+    lines = [f"{np.count_nonzero(mask):,} pixels in {count} piece{'s' if count != 1 else ''} look like the object."]
+    rounded = [[(round(u), round(v)) for u, v in pixels] for pixels in (picks, nots)]
+    missed = [pixel for pixel in rounded[0] if not around(mask, pixel)]
+    wrong = [pixel for pixel in rounded[1] if around(mask, pixel) >= INSIDE]
+    if missed:
+        lines.append(f"{_listed(missed)} could not be added: the colours there are those of the background.")
+    if wrong:
+        lines.append(
+            f"{_listed(wrong)} could not be excluded: the colours there are the object's; limit the region of interest."
+        )
+    return " ".join(lines)
+
+
+def _listed(pixels: Sequence[tuple[float, float]]) -> str:
+    return ", ".join(f"({u:g}, {v:g})" for u, v in pixels)

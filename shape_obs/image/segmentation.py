@@ -23,10 +23,11 @@ Table = npt.NDArray[np.uint64]
 
 LEVELS: Final = 256  # of a colour channel
 _KEPT: Final = 16  # tables, 2 MB each
+_ELSEWHERE: Final = {"click": "shape_obs.image.clicked_colours"}  # kinds that other modules define
 
 
 @dataclass(frozen=True, kw_only=True)
-class Segmentation(Spec, family="segmentation"):
+class Segmentation(Spec, family="segmentation", modules=_ELSEWHERE):
     """A pixel rule with its clean-up.
 
     Args:

@@ -1,4 +1,4 @@
-"""The error about what users write, and hints at what they may have meant."""
+"""The errors about what users write, and hints at what they may have meant."""
 
 from __future__ import annotations
 
@@ -9,6 +9,10 @@ class SpecError(ValueError):
     """A configuration that cannot be understood; the message names the place, the value and what was expected."""
 
     __module__ = "shape_obs.spec"  # its public path, which tracebacks show
+
+
+class UsageError(ValueError):
+    """A command line that is wrong: an argument is missing, unknown or out of range. ``shape-obs`` exits with 2."""
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:

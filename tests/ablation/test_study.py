@@ -100,6 +100,19 @@ def test_results_table_and_pictures_of_what_is_done(study_file, clean, capsys):
     assert len(rows) == 4 * 2 * (1 + 2)  # runs x difficulties x goals of both evaluations
     assert {row["steps"] for row in rows} == {"30", "60"}
     assert all(float(row["final_mm"]) > 0 for row in rows)
+    assert Path(result["policy"]).parent.parent.parent == clean
+    assert result["next"].startswith("it is for simulation only: "), "its arms read the simulator's state"
+
+
+@pytest.mark.long
+def test_the_path_of_the_policy_and_the_next_command_are_printed(tmp_path, capsys):
+    study = written(tmp_path / "seen.yaml", arms={"points3d": {}}, seeds=[3])
+    assert run(study, "--out", tmp_path / "o") == 0
+    path = tmp_path / "o" / "points3d" / "seed3" / "trained.policy"
+    lines = capsys.readouterr().out.splitlines()[-2:]
+    assert lines[0] == f"best policy: {path}"
+    assert lines[1].startswith(f"next: shape-obs deploy {path} --source robot --robot ")
+    assert path.is_file()
 
 
 @pytest.mark.long
@@ -143,9 +156,9 @@ def test_mistakes_are_reported_before_anything_runs(tmp_path, study_file, capsys
     assert "gama" in errors
     assert "arms.factor: " in errors
     assert not list((tmp_path / "out").iterdir())
-    assert run(study_file, "--out", tmp_path, "--only", "smal") == 1
+    assert run(study_file, "--out", tmp_path, "--only", "smal") == 2
     assert "did you mean 'small'?" in capsys.readouterr().err
-    assert run(study_file, "--out", tmp_path, "--address", "auto") == 1
+    assert run(study_file, "--out", tmp_path, "--address", "auto") == 2
     assert "--engine ray" in capsys.readouterr().err
     assert run(study_file, "--out", tmp_path, "--table-only") == 1
     assert "no run of this study is finished" in capsys.readouterr().err

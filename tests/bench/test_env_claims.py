@@ -197,5 +197,5 @@ def test_shares_are_of_all_frames_and_all_episodes():
 def test_the_number_of_jobs_is_checked(capsys):
     with pytest.raises(SystemExit) as stop:
         main(["bench", "claims", "--only", "envs", "--jobs", "0"])
-    assert stop.value.code == 1
+    assert stop.value.code == 2
     assert "--jobs: expected at least 1, got 0" in capsys.readouterr().err

@@ -112,6 +112,6 @@ def test_rates_are_those_of_the_median_step():
 )
 def test_bad_arguments_get_one_clear_line(capsys, arguments, message):
     code, out, err = run(capsys, *arguments)
-    assert (code, out) == (1, "")
+    assert (code, out) == (2, "")
     assert message in err
     assert len(err.strip().splitlines()) == 1

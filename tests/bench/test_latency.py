@@ -94,6 +94,6 @@ def test_frame_after_frame_the_process_does_not_grow():
 )
 def test_bad_arguments_get_one_clear_line(capsys, arguments, message):
     code, out, err = run(capsys, *arguments)
-    assert (code, out) == (1, "")
+    assert (code, out) == (2, "")
     assert message in err
     assert len(err.strip().splitlines()) == 1

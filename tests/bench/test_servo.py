@@ -278,12 +278,12 @@ class TestCommand:
             (("--envs", "Ring", "--features", "bezier"), "there are no bezier of Ring"),
             (("--blackout", "199", "9"), "end after --steps"),
             (("--view", "above"), "only Hanging has views"),
-            (("--rope", "1"), "0 or 1, and only Cables has ropes"),
+            (("--rope", "1"), "only Cables has ropes"),
         ],
     )
     def test_mistakes_are_reported_before_anything_runs(self, arguments, message, tmp_path, capsys):
         code, _, err = command(capsys, *arguments, "--out", tmp_path / "none")
-        assert code == 1
+        assert code == 2
         assert message in err
         assert not (tmp_path / "none").exists()
 

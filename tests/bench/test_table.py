@@ -236,8 +236,8 @@ class TestCommand:
     )
     def test_bad_arguments_get_one_clear_line(self, capsys, tmp_path, arguments, message):
         code, out, err = command(capsys, "--out", tmp_path, *arguments)
-        assert (code, out) == (1, "")
-        assert err.strip() == f"shape-obs bench: {message}"
+        assert (code, out) == (2, "")
+        assert err.strip() == f"shape-obs bench table: {message}"
 
     def test_without_matplotlib_it_says_so_before_it_begins(self, capsys, tmp_path, monkeypatch):
         import sys

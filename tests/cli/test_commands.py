@@ -67,11 +67,12 @@ def test_detect_lifts_with_depth_and_intrinsics(photo, capsys):
     assert np.allclose(points3d[:, 0], (points2d[:, 0] - 160) / 200 * 0.7, atol=1e-4)
 
 
-def test_pick_proposes_a_range_that_detect_then_reads(photo, capsys):
+def test_pick_learns_colours_that_detect_then_reads(photo, capsys):
     config = photo / "rope.yaml"
     run(capsys, "detect", photo / "rope.png", "--pick", "160,143", "--save-config", config, "--out", photo / "o")
     segmentation = yaml.safe_load(config.read_text())["scene"]["segmentation"]
-    assert segmentation["kind"] == "hsv"
+    assert segmentation["kind"] == "click"
+    assert segmentation["picks"] == [[160.0, 143.0]]
     code, out, _ = run(capsys, "detect", photo / "rope.png", "--config", config, "--out", photo / "o")
     assert code == 0
     assert json.loads(out)["ok"] is True
@@ -102,27 +103,38 @@ def test_a_shape_that_is_not_there_is_reported(photo, capsys):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "code", "message"),
     [
-        (["detect", "{photo}"], "give exactly one of --config FILE, --hsv ... or --pick u,v"),
-        (["detect", "{photo}", "--pick", "middle"], "--pick: expected u,v such as 300,123, got 'middle'"),
-        (["detect", "{photo}", "--pick", "900,5"], "pixel (900, 5) lies outside the image of 320 x 240"),
-        (["detect", "{photo}", "--pick", "5,5"], "of the image looks like pixel (5, 5)"),
-        (["detect", "{photo}", "--config", "none.yaml"], "none.yaml: no such config file"),
-        (["detect", "{photo}", *HSV, "--depth", "a.png", "b.png"], "got 1 images but 2 depth files"),
-        (["detect", "{photo}", *HSV, "--depth", "a.png"], "--depth needs --intrinsics"),
-        (["detect", "{photo}", "{photo}", *HSV], "several images are named 'rope'"),
-        (["detect", "{photo}", *HSV, "--ends", "tip"], "unknown value 'tip'; did you mean 'tips'?"),
-        (["demo", "--steps", "0"], "--steps: expected 1...50, got 0"),
-        (["bench", "peers", "--frames", "0"], "--frames: expected at least 1, got 0"),
-        (["bench", "peers", "--slow-frames", "-1"], "--slow-frames: expected at least 0, got -1"),
-        (["bench", "claim"], "unknown measurement 'claim'; did you mean 'claims'?"),
+        (["detect", "{photo}"], 2, "give exactly one of --config FILE, --hsv ... or --pick u,v"),
+        (["detect", "{photo}", "--pick", "middle"], 2, "--pick: expected u,v such as 300,123, got 'middle'"),
+        (["detect", "{photo}", "--pick", "900,5"], 1, "pixel (900, 5) lies outside the image of 320 x 240"),
+        (["detect", "{photo}", "--pick", "5,5"], 1, "of the image looks like (5, 5)"),
+        (["detect", "{photo}", "--config", "none.yaml"], 1, "none.yaml: no such config file"),
+        (["detect", "{photo}", *HSV, "--depth", "a.png", "b.png"], 2, "got 1 images but 2 depth files"),
+        (["detect", "{photo}", *HSV, "--depth", "a.png"], 2, "--depth needs --intrinsics"),
+        (["detect", "{photo}", "{photo}", *HSV], 2, "several images are named 'rope'"),
+        (["demo", "--steps", "0"], 2, "--steps: expected 1...50, got 0"),
+        (["bench", "peers", "--frames", "0"], 2, "--frames: expected at least 1, got 0"),
+        (["bench", "peers", "--slow-frames", "-1"], 2, "--slow-frames: expected at least 0, got -1"),
+        (["bench", "claim"], 2, "unknown measurement 'claim'; did you mean 'claims'?"),
+        (["detect", "{photo}", *HSV, "--n", "4y8"], 2, "--n: expected a number of points such as 20, or ROWSxCOLUMNS"),
+        (
+            ["detect", "{photo}", *HSV, "--n", "4x8"],
+            2,
+            "--n: a centerline has one number of points such as 20, got '4x8'",
+        ),
+        (
+            ["detect", "{photo}", *HSV, "--shape", "surface", "--n", "9"],
+            2,
+            "expected ROWSxCOLUMNS such as 4x8, got '9'",
+        ),
+        (["detect", "{photo}", *HSV, "--shape", "surface", "--n", "1x8"], 2, "rows"),
     ],
 )
-def test_bad_arguments_get_one_clear_line(photo, capsys, monkeypatch, arguments, message):
+def test_bad_arguments_get_one_clear_line(photo, capsys, monkeypatch, arguments, code, message):
     monkeypatch.chdir(photo)
-    code, out, err = run(capsys, *(argument.format(photo=photo / "rope.png") for argument in arguments))
-    assert code == 1
+    ended, out, err = run(capsys, *(argument.format(photo=photo / "rope.png") for argument in arguments))
+    assert ended == code
     assert out == ""
     assert message in err
     assert len(err.strip().splitlines()) == 1
@@ -180,3 +192,40 @@ def test_every_command_has_help(command):
     assert done.returncode == 0
     assert "usage" in done.stdout.lower()
     assert done.stderr == ""
+
+
+def towel(folder):
+    """Draw a blue rectangle with its corners at (60, 50) and (260, 190)."""
+    rgb = np.full((240, 320, 3), (190, 185, 180), np.uint8)
+    rgb[50:191, 60:261] = BLUE
+    cv2.imwrite(str(folder / "towel.png"), rgb[..., ::-1])
+    return folder / "towel.png"
+
+
+def test_a_surface_has_rows_and_columns(tmp_path, capsys):
+    options = ["--shape", "surface", "--n", "3x5", "--ends", "tips", "--out", tmp_path / "o"]
+    code, out, _ = run(capsys, "detect", towel(tmp_path), *HSV, *options)
+    points = np.array(json.loads(out)["shapes"][0]["points2d"])
+    assert code == 0
+    assert points.shape == (15, 2)
+    lattice = points.reshape(3, 5, 2)
+    assert np.allclose(lattice[0, 0], (60, 50), atol=2)
+    assert np.allclose(lattice[-1, -1], (260, 190), atol=2)
+    assert np.allclose(lattice[1, :, 0], np.linspace(60, 260, 5), atol=3)
+
+
+def test_an_outline_has_a_number_of_points_and_the_config_keeps_it(tmp_path, capsys):
+    photo, config = towel(tmp_path), tmp_path / "c.yaml"
+    options = ["--shape", "contour", "--n", "16", "--save-config", config, "--out", tmp_path / "o"]
+    code, out, _ = run(capsys, "detect", photo, "--pick", "150,120", *options)
+    drawn = json.loads(out)["shapes"][0]
+    assert code == 0
+    assert drawn["name"] == "contour"
+    assert len(drawn["points2d"]) == 16
+    _, out, _ = run(capsys, "detect", photo, "--config", config, "--out", tmp_path / "o")
+    assert json.loads(out)["shapes"][0]["points2d"] == drawn["points2d"]
+    code, _, err = run(capsys, "detect", photo, "--config", config, "--n", "4x4", "--out", tmp_path / "o")
+    assert code == 2
+    assert "a contour has one number of points" in err
+    code, out, _ = run(capsys, "detect", photo, "--config", config, "--shape", "surface", "--out", tmp_path / "o")
+    assert json.loads(out)["shapes"][0]["name"] == "surface"

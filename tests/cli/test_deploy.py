@@ -104,24 +104,28 @@ def test_sigterm_ends_the_command_with_a_report_and_its_own_exit_code(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "code", "message"),
     [
-        ([], "--robot module:Class is needed"),
-        (["--robot", "no_lab:Arm"], "--robot: cannot import 'no_lab'"),
-        (["--robot", "shape_obs_envs.robots"], "--robot: expected module:Name"),
-        (["--robot", "shape_obs_envs.robots:NullRobot"], "--config FILE is needed"),
-        (["--robot", "shape_obs_envs.robots:NullRobot", "--robot-set", "sise=3"], "does not take {'sise': 3}"),
-        (["--robot", "shape_obs_envs.robots:NullRobot", "--robot-set", "size"], "--robot-set: expected KEY=VALUE"),
-        (["--robot", "shape_obs_envs.robots:NullRobot", "--controller", "shape_obs.deploy:Swy"], "did you mean 'Sway'"),
-        (["--goal", "none.yaml"], "none.yaml: no such goal file"),
-        (["--hold", "-1"], "Limits.hold: expected seconds, 0 or more"),
-        ([*CELL, "--workspace-low", "0"], "--workspace-low and --workspace-high: give both"),
-        ([*CELL, "--max-step", "0.01"], "max_step: expected 6 numbers"),
+        ([], 2, "--robot module:Class is needed"),
+        (["--robot", "no_lab:Arm"], 1, "--robot: cannot import 'no_lab'"),
+        (["--robot", "shape_obs_envs.robots"], 2, "--robot: expected module:Class"),
+        (["--robot", "shape_obs_envs.robots:NullRobot"], 2, "--config FILE is needed"),
+        (["--robot", "shape_obs_envs.robots:NullRobot", "--robot-set", "sise=3"], 2, "does not take {'sise': 3}"),
+        (["--robot", "shape_obs_envs.robots:NullRobot", "--robot-set", "size"], 2, "--robot-set: expected KEY=VALUE"),
+        (
+            ["--robot", "shape_obs_envs.robots:NullRobot", "--controller", "shape_obs.deploy:Swy"],
+            2,
+            "did you mean 'Sway'",
+        ),
+        ([*CELL, "--goal", "none.yaml"], 1, "none.yaml: no such goal file"),
+        ([*CELL, "--hold", "-1"], 2, "--hold: expected at least 0, got -1"),
+        ([*CELL, "--workspace-low", "0"], 2, "--workspace-low and --workspace-high: give both"),
+        ([*CELL, "--max-step", "0.01"], 1, "max_step: expected 6 numbers"),
     ],
 )
-def test_mistakes_are_reported_in_one_line(capsys, arguments, message):
-    code, out, err = run(capsys, "deploy", *arguments)
-    assert (code, out) == (1, "")
+def test_mistakes_are_reported_in_one_line(capsys, arguments, code, message):
+    ended, out, err = run(capsys, "deploy", *arguments)
+    assert (ended, out) == (code, "")
     assert message in err
     assert err.count("\n") == 1
 

@@ -73,5 +73,5 @@ def test_a_count_leaves_out_what_has_no_slot(photo, capsys):
 )
 def test_other_counts_are_refused(photo, capsys, count, message):
     code, out, err = detect(capsys, photo, "--count", count)
-    assert (code, out) == (1, "")
+    assert (code, out) == (2, "")
     assert message in err

@@ -127,22 +127,22 @@ class TestCommand:
             paths = [tmp_path / f"{name}.npz" for name in sources]
             code, text, err = self.command(capsys, *paths, "-o", tmp_path / "o.npz", *extra)
             lines = [line for line in err.split("\r")[-1].splitlines() if line.strip()]
-            assert (code, text) == (1, ""), (sources, extra)
+            assert (code, text) == (2 if "--name" in extra else 1, ""), (sources, extra)
             assert len(lines) == 1
             assert lines[0].startswith("shape-obs fit-features: ")
             assert message in lines[0]
             assert not (tmp_path / "o.npz").exists()
-        for arguments, message in (
-            ((tmp_path / "t.npz", "-o", "o.txt"), "--out: expected a file named *.npz"),
-            ((tmp_path, "-o", tmp_path / "o.npz"), "is not a table (.npz, .parquet, .csv): give --config FILE"),
-            ((tmp_path, "-o", tmp_path / "o.npz", "--config", tmp_path / "c.yaml"), "found neither"),
+        for arguments, expected, message in (
+            ((tmp_path / "t.npz", "-o", "o.txt"), 2, "--out: expected a file named *.npz"),
+            ((tmp_path, "-o", tmp_path / "o.npz"), 2, "is not a table (.npz, .parquet, .csv): give --config FILE"),
+            ((tmp_path, "-o", tmp_path / "o.npz", "--config", tmp_path / "c.yaml"), 1, "found neither"),
         ):
             code, _, err = self.command(capsys, *arguments)
-            assert code == 1
+            assert code == expected
             assert message in err
         code, _, err = self.command(capsys, "-o", tmp_path / "o.npz")
-        assert code in (1, 2)  # an old tyro calls this wrong usage by itself
-        assert err
+        assert code == 2
+        assert "expected at least one TABLE" in err
 
     def test_recorded_ropes_come_back_within_two_millimetres(self, tmp_path, capsys):
         """Components are fitted to the camera's points of some episodes, and tested on others."""

@@ -156,43 +156,60 @@ def test_an_interrupted_recording_is_replayed_with_a_word_about_it(place, record
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "code", "message"),
     [
-        (["replay", "none", "--config", "pixels.yaml"], "source 'none' is not a camera, path or environment"),
-        (["replay", "no/recording", "--config", "pixels.yaml"], "no/recording: no such file or folder"),
-        (["replay", "none.db3", "--config", "pixels.yaml"], "none.db3: no such file"),
-        (["replay", "empty", "--config", "pixels.yaml"], "empty: expected a recording"),
-        (["replay", "notes.txt", "--config", "pixels.yaml"], "or a folder, got '.txt'"),
-        (["replay", "junk.mp4", "--config", "pixels.yaml"], "junk.mp4: not a video that OpenCV can decode"),
-        (["replay", "damaged", "--config", "pixels.yaml"], "1.png: not an image that can be read; it may be damaged"),
-        (["replay", "rope.avi", "--config", "space.yaml"], "rope.avi has no depth, but the config needs it: feature"),
-        (["replay", "photos", "--config", "far.yaml"], "needs it: segmentation 'depth' of shape 'centerline'"),
-        (["replay", "photos", "--config", "damaged.yaml"], "damaged.yaml: not valid YAML"),
-        (["replay", "photos", "--config", "none.yaml"], "none.yaml: no such config file"),
-        (["replay", "photos"], "give --config FILE to detect with, or --verify"),
-        (["replay", "photos", "--config", "pixels.yaml", "--csv", "s.npz"], "--csv: expected a file named *.csv"),
-        (["replay", "photos", "--config", "pixels.yaml", "--csv", "notes.txt/s.csv"], "cannot make the output folder"),
-        (["replay", "photos", "--config", "pixels.yaml", "--video", "s.gif"], "expected a video named *.mp4 or *.avi"),
-        (["replay", "photos", "--config", "pixels.yaml", "--frames", "0"], "frames: expected 1 or more, got 0"),
-        (["replay", "CartPole-v1", "--config", "pixels.yaml"], "CartPole-v1: the observation must be an RGB image"),
-        (["record", "--source", "photos", "-o", "photos"], "photos: the folder is not empty"),
-        (["record", "--source", "photos", "-o", "notes.txt/out"], "cannot make the output folder notes.txt/out"),
-        (["record", "--source", "rope.avi", "-o", "new", "--depth", "yes"], "rope.avi has no depth to record"),
-        (["record", "--source", "photos", "-o", "new", "--seconds", "1"], "its frames have no stamps"),
-        (["record", "--source", "photos", "-o", "new.db3"], "only a camera (d455) can be recorded to .db3"),
-        (["record", "--source", "photos", "-o", "new", "--set", "exposure"], "--set: expected KEY=VALUE"),
+        (["replay", "none", "--config", "pixels.yaml"], 1, "source 'none' is not a camera, path or environment"),
+        (["replay", "no/recording", "--config", "pixels.yaml"], 1, "no/recording: no such file or folder"),
+        (["replay", "none.db3", "--config", "pixels.yaml"], 1, "none.db3: no such file"),
+        (["replay", "empty", "--config", "pixels.yaml"], 1, "empty: expected a recording"),
+        (["replay", "notes.txt", "--config", "pixels.yaml"], 1, "or a folder, got '.txt'"),
+        (["replay", "junk.mp4", "--config", "pixels.yaml"], 1, "junk.mp4: not a video that OpenCV can decode"),
+        (
+            ["replay", "damaged", "--config", "pixels.yaml"],
+            1,
+            "1.png: not an image that can be read; it may be damaged",
+        ),
+        (
+            ["replay", "rope.avi", "--config", "space.yaml"],
+            1,
+            "rope.avi has no depth, but the config needs it: feature",
+        ),
+        (["replay", "photos", "--config", "far.yaml"], 1, "needs it: segmentation 'depth' of shape 'centerline'"),
+        (["replay", "photos", "--config", "damaged.yaml"], 1, "damaged.yaml: not valid YAML"),
+        (["replay", "photos", "--config", "none.yaml"], 1, "none.yaml: no such config file"),
+        (["replay", "photos"], 2, "give --config FILE to detect with, or --verify"),
+        (["replay", "photos", "--config", "pixels.yaml", "--csv", "s.npz"], 2, "--csv: expected a file named *.csv"),
+        (
+            ["replay", "photos", "--config", "pixels.yaml", "--csv", "notes.txt/s.csv"],
+            1,
+            "cannot make the output folder",
+        ),
+        (
+            ["replay", "photos", "--config", "pixels.yaml", "--video", "s.gif"],
+            1,
+            "expected a video named *.mp4 or *.avi",
+        ),
+        (["replay", "photos", "--config", "pixels.yaml", "--frames", "0"], 2, "--frames: expected at least 1, got 0"),
+        (["replay", "CartPole-v1", "--config", "pixels.yaml"], 1, "CartPole-v1: the observation must be an RGB image"),
+        (["record", "--source", "photos", "-o", "photos"], 1, "photos: the folder is not empty"),
+        (["record", "--source", "photos", "-o", "notes.txt/out"], 1, "cannot make the output folder notes.txt/out"),
+        (["record", "--source", "rope.avi", "-o", "new", "--depth", "yes"], 1, "rope.avi has no depth to record"),
+        (["record", "--source", "photos", "-o", "new", "--seconds", "1"], 1, "its frames have no stamps"),
+        (["record", "--source", "photos", "-o", "new.db3"], 2, "only a camera (d455) can be recorded to .db3"),
+        (["record", "--source", "photos", "-o", "new", "--set", "exposure"], 2, "--set: expected KEY=VALUE"),
         (
             ["record", "--source", "photos", "-o", "new", "--set", "exposure=1"],
+            2,
             "a FolderSource does not take ['exposure']",
         ),
     ],
 )
-def test_bad_input_gets_one_clear_line(place, capsys, monkeypatch, arguments, message):
+def test_bad_input_gets_one_clear_line(place, capsys, monkeypatch, arguments, code, message):
     monkeypatch.chdir(place)
     before = sorted(place.rglob("*"))
-    code, out, err = run(capsys, *arguments)
+    ended, out, err = run(capsys, *arguments)
     lines = [line for line in err.replace("\r", "\n").splitlines() if line.startswith("shape-obs")]
-    assert code == 1
+    assert ended == code
     assert out == ""
     assert len(lines) == 1
     assert message in lines[0]
@@ -202,7 +219,7 @@ def test_bad_input_gets_one_clear_line(place, capsys, monkeypatch, arguments, me
 def test_an_endless_source_needs_a_limit(place, capsys):
     pytest.importorskip("mujoco")
     code, _, err = run(capsys, "replay", "ShapeObs/Cable-v0", "--config", place / "space.yaml", *CABLE)
-    assert code == 1
+    assert code == 2
     assert "ShapeObs/Cable-v0 never ends: give --frames N" in err
 
 

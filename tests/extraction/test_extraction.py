@@ -269,14 +269,15 @@ def test_bad_input_gets_one_clear_line(place, clean, tmp_path, capsys):
         ((tmp_path / "*.bag", *good[1:]), "*.bag: found no recording there"),
         ((tmp_path, *good[1:]), "found no recording there: no recorded folder, images, .db3"),
         ((*good[:3], "-o", tmp_path / "full"), "full: the folder is not empty, and holds no extraction"),
-        ((*good, "--jobs", "0"), "jobs: expected 1 or more, got 0"),
-        ((*good, "--address", "auto"), "address: only engine 'ray' has one"),
+        ((*good, "--jobs", "0"), "--jobs: expected at least 1, got 0"),
+        ((*good, "--address", "auto"), "--address: only for a Ray cluster"),
         ((*good, "--features", "centriod"), "centroid"),
-        ((*good, "--extrinsics", "none.json"), "none.json: no such file"),
+        ((*good, "--extrinsics", "none.json"), "none.json: no such file of extrinsics"),
     ):
         code, report, err = run(capsys, *arguments)
         lines = [line for line in err.replace("\r", "\n").splitlines() if line.startswith("shape-obs extract: ")]
-        assert (code, report) == (1, None), arguments
+        wrong_usage = {"--jobs", "--address", "--features"} & set(map(str, arguments))
+        assert (code, report) == (2 if wrong_usage else 1, None), arguments
         assert len(lines) == 1
         assert message in lines[0]
     assert not (tmp_path / "out").exists()

@@ -65,7 +65,7 @@ class TestSheets:
     @pytest.mark.parametrize(
         ("words", "message"),
         [
-            (["-o", "sheet.gif"], "expected a name that ends in .pdf or .png, got .gif"),
+            (["-o", "sheet.gif"], "--out: expected a file named *.pdf or *.png"),
             (["--size", 300], "a marker of 300 mm does not fit on a4 paper: give at most 142 mm"),
             (["--size", 2], "too small to print: give at least 6 mm"),
             (["--ids", 0, 99], "markers of '4x4_50' have the ids 0 to 49, got 99"),
@@ -79,7 +79,7 @@ class TestSheets:
     )
     def test_errors(self, tmp_path, monkeypatch, capsys, words, message):
         monkeypatch.chdir(tmp_path)
-        assert run("markers", *words) == 1
+        assert run("markers", *words) == 2
         assert message in capsys.readouterr().err
         assert not list(tmp_path.iterdir())
 

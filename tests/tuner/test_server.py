@@ -77,7 +77,6 @@ def test_a_bad_config_and_a_missing_source_are_one_clear_line(capsys, photo, tmp
         ((tmp_path / "none.png",), "no such file"),
         ((tmp_path / "none.mp4",), "no such file"),
         (("d544",), "d455"),
-        ((photo, "--port", 99999), "65535"),
     ):
         code, error = failed(capsys, *arguments, "--no-open")
         assert code == 1

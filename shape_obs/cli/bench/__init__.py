@@ -9,11 +9,11 @@ from shape_obs.cli import run_part
 
 MEASUREMENTS: Final = {
     "claims": "the accuracy that the project claims, against known truth",
-    "table": "the paper's table and figure: clusterers side by side on simulated frames",
-    "peers": "time and quality compared with other ways to the same points, on the same masks",
-    "latency": "the time of every stage from image to 3D points, and how it grows",
-    "envs": "steps per second of the simulated environments: bare, with images, wrapped",
-    "servo": "shape servoing: features and laws on the same goals, from the camera and from the true points",
+    "table": "the paper's table: clusterers side by side on simulated frames",
+    "peers": "time and quality compared with other ways, on the same masks",
+    "latency": "the time of every stage from image to 3D points",
+    "envs": "steps per second of the simulated environments",
+    "servo": "shape servoing: features and laws on the same goals",
 }
 _SPEED: Final = ("peers", "latency", "envs")
 

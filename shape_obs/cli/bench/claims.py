@@ -5,44 +5,38 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
-
-import tyro
+from typing import Annotated, Literal
 
 from shape_obs.bench.claims import GROUPS, Effort, Group
-from shape_obs.cli.bench.output import Output, check_minimum, need_matplotlib, progress
+from shape_obs.cli.bench.output import Output, need_matplotlib, progress
+from shape_obs.cli.parsing import Option, parse
 
 
 @dataclass(frozen=True)
 class Claims:
     """Measure accuracy on drawn, moving and simulated objects against known truth."""
 
-    only: tuple[Group, ...] = ()
+    only: Annotated[tuple[Group, ...], Option(group="measurement")] = ()
     """Groups to measure; all if none is named."""
-    share: float = 1.0
+    share: Annotated[float, Option("SHARE", "measurement", above=0, most=100)] = 1.0
     """Share of the full counts."""
-    seed: int = 0
+    seed: Annotated[int, Option("N", "measurement", least=0)] = 0
     """Seed of everything that is drawn at random."""
-    renderer: Literal["auto", "gl", "rays"] = "auto"
+    renderer: Annotated[Literal["auto", "gl", "rays"], Option(group="measurement")] = "auto"
     """The simulator's renderer."""
-    jobs: int = 1
+    jobs: Annotated[int, Option("N", "processing", least=1)] = 1
     """Processes that share the episodes of the group envs."""
-    garments: Path | None = None
+    garments: Annotated[Path | None, Option("FILE", "measurement", existing="file of outlines")] = None
     """A JSON file of annotated garment outlines, measured together with the drawn ones."""
-    figures: Path | None = None
+    figures: Annotated[Path | None, Option("FOLDER", "output")] = None
     """Folder for the pictures of the groups that have some (belief)."""
-    json: bool = False
+    json: Annotated[bool, Option(group="output")] = False
     """Print JSON instead of tables."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    args = tyro.cli(Claims, args=list(argv), prog="shape-obs bench claims")
-    if not 0 < args.share <= 100:
-        raise ValueError(f"--share: expected a number above 0, at most 100, got {args.share}.")
-    check_minimum(args, jobs=1)
-    if args.garments is not None and not args.garments.is_file():
-        raise FileNotFoundError(f"{args.garments}: no such file")
+    args = parse(Claims, argv, "shape-obs bench claims")
     if args.figures is not None:
         need_matplotlib()
         args.figures.mkdir(parents=True, exist_ok=True)

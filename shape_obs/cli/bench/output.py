@@ -11,6 +11,7 @@ from typing import Any
 from tqdm import tqdm
 
 from shape_obs.bench.tables import as_text
+from shape_obs.utils.errors import UsageError
 
 Rows = Sequence[Mapping[str, Any]]
 
@@ -53,14 +54,6 @@ def progress(name: str, unit: str, total: int | None = None) -> tqdm:
     return tqdm(desc=name, unit=unit, total=total, leave=False, file=sys.stderr)
 
 
-def check_minimum(args: Any, **minimum: int) -> None:
-    """Raise ValueError if an option is below its minimum."""
-    for name, least in minimum.items():
-        value = getattr(args, name)
-        if value < least:
-            raise ValueError(f"--{name.replace('_', '-')}: expected at least {least}, got {value}.")
-
-
 def need_matplotlib() -> None:
     """Raise ImportError if matplotlib is not installed."""
     if find_spec("matplotlib") is None:
@@ -76,7 +69,7 @@ def image_size(text: str, least: int, landscape: bool = True) -> tuple[int, int]
         landscape: Whether an image may not be higher than wide.
 
     Raises:
-        ValueError: The text is not such a size.
+        UsageError: The text is not such a size.
     """
     width, x, height = text.partition("x")
     if x and width.isdigit() and height.isdigit():
@@ -84,6 +77,6 @@ def image_size(text: str, least: int, landscape: bool = True) -> tuple[int, int]
         if least <= min(size) and max(size) <= 4096 and not (landscape and size[1] > size[0]):
             return size
     form = ", no higher than wide" if landscape else ""
-    raise ValueError(
+    raise UsageError(
         f"--sizes: expected WIDTHxHEIGHT of at least {least} pixels each{form}, such as 640x480, got {text!r}."
     )

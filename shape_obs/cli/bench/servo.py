@@ -6,12 +6,12 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
-
-import tyro
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from shape_obs.bench import Clock, Difficulty, FeatureSet, ServoEnv, Size, Source
-from shape_obs.cli.bench.output import Output, check_minimum, image_size, need_matplotlib, progress
+from shape_obs.cli.bench.output import Output, image_size, need_matplotlib, progress
+from shape_obs.cli.parsing import Option, parse, wrong_usage
+from shape_obs.utils.errors import UsageError
 
 if TYPE_CHECKING:
     from shape_obs.bench.servo.settings import Setting
@@ -25,59 +25,59 @@ class Servo:
     Writes episodes.csv, summary.csv, table.md, curves.png and overlays.png, and paired.csv if both sources are named.
     """
 
-    only: tuple[Literal["study", "times"], ...] = ("study",)
+    only: Annotated[tuple[Literal["study", "times"], ...], Option(group="measurement")] = ("study",)
     """What to measure: the study; the time of each feature relative to the detector's."""
-    envs: tuple[ServoEnv, ...] = ("Cable",)
+    envs: Annotated[tuple[ServoEnv, ...], Option(group="study")] = ("Cable",)
     """Environments."""
-    features: tuple[FeatureSet, ...] = ("points3d", "bspline")
+    features: Annotated[tuple[FeatureSet, ...], Option(group="study")] = ("points3d", "bspline")
     """Sets of features."""
-    laws: tuple[str, ...] = ("mfac", "rls")
+    laws: Annotated[tuple[str, ...], Option("LAW ...", "study")] = ("mfac", "rls")
     """Names of shape_obs.servo.LAWS."""
-    difficulties: tuple[Difficulty, ...] = ("near", "middle", "far")
+    difficulties: Annotated[tuple[Difficulty, ...], Option(group="study")] = ("near", "middle", "far")
     """Distances of goals from the start."""
-    sources: tuple[Source, ...] = ("camera", "truth")
+    sources: Annotated[tuple[Source, ...], Option(group="study")] = ("camera", "truth")
     """Sources of the points: the images of a simulated D455; the simulator's state; the images for points and goal."""
-    sizes: tuple[str, ...] = ("160x120",)
+    sizes: Annotated[tuple[str, ...], Option("WIDTHxHEIGHT ...", "study")] = ("160x120",)
     """Image sizes."""
-    goals: int = 5
+    goals: Annotated[int, Option("N", "study", least=1)] = 5
     """Goals of each combination."""
-    steps: int = 200
+    steps: Annotated[int, Option("N", "study", least=1)] = 200
     """Steps of an episode."""
-    seed: int = 0
+    seed: Annotated[int, Option("N", "measurement", least=0)] = 0
     """Seed of the first goal; the seeds of the others follow."""
-    view: Literal["side", "above"] | None = None
+    view: Annotated[Literal["side", "above"] | None, Option(group="study")] = None
     """Where the camera of the hanging rope stands."""
-    rope: int | None = None
+    rope: Annotated[int | None, Option("N", "study", least=0, most=1)] = None
     """Which rope of Cables is brought to its goal, 0 or 1; default 0. Only its gripper moves."""
-    invalid: float = 0.0
+    invalid: Annotated[float, Option("SHARE", "disturbance", least=0, most=1)] = 0.0
     """Share of the camera's points that are lost, drawn again in every frame."""
-    blackout: tuple[int, int] | None = None
+    blackout: Annotated[tuple[int, int] | None, Option("FIRST COUNT", "disturbance", least=0)] = None
     """First step of the camera's black frames, and their number."""
-    pca: Path | None = None
+    pca: Annotated[Path | None, Option("FILE", "study", existing="file")] = None
     """The file of the features pca, as written by fit-features."""
-    paired: bool = False
+    paired: Annotated[bool, Option(group="output")] = False
     """Print the camera next to the truth, on the same goals."""
-    frames: int = 60
+    frames: Annotated[int, Option("N", "timing", least=1)] = 60
     """Frames over which the time of features is measured."""
-    renderer: Literal["auto", "gl", "rays"] = "auto"
+    renderer: Annotated[Literal["auto", "gl", "rays"], Option(group="measurement")] = "auto"
     """The simulator's renderer."""
-    clock: Clock = "wall"
+    clock: Annotated[Clock, Option(group="timing")] = "wall"
     """Clock for the time of features: elapsed time, or the processor time of the thread."""
-    jobs: int = 1
+    jobs: Annotated[int, Option("N", "processing", least=1)] = 1
     """Processes of one thread each."""
-    out: Path = Path("servo")
+    out: Annotated[Path, Option("FOLDER", "output")] = Path("servo")
     """Folder for the results."""
-    resume: bool = False
+    resume: Annotated[bool, Option(group="output")] = False
     """Keep the episodes that the folder holds already. It is not checked whether the laws have changed."""
-    figures: bool = True
+    figures: Annotated[bool, Option(group="output")] = True
     """Draw the pictures; they need the extra viz."""
-    json: bool = False
+    json: Annotated[bool, Option(group="output")] = False
     """Print JSON instead of tables."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return its exit code: 1 if an episode broke off."""
-    args = tyro.cli(Servo, args=list(argv), prog="shape-obs bench servo")
+    args = parse(Servo, argv, "shape-obs bench servo", _check)
     from shape_obs.bench.interleaved_timing import machine
 
     settings = _settings(args)
@@ -89,44 +89,45 @@ def main(argv: Sequence[str]) -> int:
     return 1 if broken else 0
 
 
+def _check(args: Servo) -> None:
+    """Reject options that do not go together, before a measurement is imported."""
+    if args.paired and not {"camera", "truth"} <= set(args.sources):
+        raise UsageError(f"--paired: needs --sources camera truth, got {' '.join(args.sources)}.")
+    if args.view is not None and set(args.envs) != {"Hanging"}:
+        raise UsageError(f"--view: only Hanging has views, got --envs {' '.join(args.envs)}.")
+    if args.rope is not None and set(args.envs) != {"Cables"}:
+        raise UsageError(f"--rope: only Cables has ropes, got --envs {' '.join(args.envs)}.")
+    if args.blackout is not None and sum(args.blackout) > args.steps:
+        raise UsageError(f"--blackout: {args.blackout[1]} frames from {args.blackout[0]} on end after --steps.")
+    for size in args.sizes:
+        image_size(size, 16)
+
+
 def _settings(args: Servo) -> list[Setting]:
     """Return the settings of the study; every mistake in the options is reported before anything runs."""
     from shape_obs.bench.servo.settings import Disturbance, combinations, missing
     from shape_obs.servo import LAWS
     from shape_obs.spec import did_you_mean
 
-    check_minimum(args, goals=1, steps=1, seed=0, frames=1, jobs=1)
     for law in args.laws:
         if law not in LAWS:
-            raise ValueError(f"--laws: unknown law {law!r}{did_you_mean(law, LAWS)}")
-    if args.pca is not None and not args.pca.is_file():
-        raise FileNotFoundError(f"{args.pca}: no such file")
-    if args.paired and not {"camera", "truth"} <= set(args.sources):
-        raise ValueError(f"--paired: needs --sources camera truth, got {' '.join(args.sources)}.")
-    if args.view is not None and set(args.envs) != {"Hanging"}:
-        raise ValueError(f"--view: only Hanging has views, got --envs {' '.join(args.envs)}.")
-    if args.rope is not None and (set(args.envs) != {"Cables"} or args.rope not in (0, 1)):
-        raise ValueError(
-            f"--rope: 0 or 1, and only Cables has ropes, got {args.rope} and --envs {' '.join(args.envs)}."
-        )
+            raise UsageError(f"--laws: unknown law {law!r}{did_you_mean(law, LAWS)}")
     wrong = Disturbance(args.invalid, args.blackout)
-    wrong.check()
-    if wrong.blackout is not None and sum(wrong.blackout) > args.steps:
-        raise ValueError(f"--blackout: {wrong.blackout[1]} frames from {wrong.blackout[0]} on end after --steps.")
+    with wrong_usage():
+        wrong.check()
     if "study" in args.only and args.figures:
         need_matplotlib()
-    for size in args.sizes:
-        image_size(size, 16)
     pca = None if args.pca is None else str(args.pca.resolve())
-    found = combinations(
-        args.envs, args.features, args.laws, args.difficulties, args.sources, args.sizes, wrong, args.renderer, pca
-    )
-    found = [each._replace(view=args.view, rope=args.rope) for each in found]
+    with wrong_usage():
+        found = combinations(
+            args.envs, args.features, args.laws, args.difficulties, args.sources, args.sizes, wrong, args.renderer, pca
+        )
+        found = [each._replace(view=args.view, rope=args.rope) for each in found]
     settings, without = list(dict.fromkeys(found)), ", ".join(missing(args.envs, args.features))
     if without and not args.json:
         print(f"there are no {without}: left out")
     if not settings and "study" in args.only:
-        raise ValueError(f"--features: there are no {without}.")
+        raise UsageError(f"--features: there are no {without}.")
     return settings
 
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Any, Final, Literal, get_args
-
-import tyro
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
 
 from shape_obs.bench import ENVS, Clock, Env
-from shape_obs.cli.bench.output import Output, check_minimum, image_size, progress
+from shape_obs.cli.bench.output import Output, image_size, progress
+from shape_obs.cli.parsing import Option, parse
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -22,13 +21,13 @@ Work = Literal["rope", "contour", "cloth"]
 
 @dataclass(frozen=True)
 class _TimingOptions:
-    seed: int = 0
+    seed: Annotated[int, Option("N", "measurement", least=0)] = 0
     """Seed of everything that is drawn at random."""
-    clock: Clock = "wall"
+    clock: Annotated[Clock, Option(group="timing")] = "wall"
     """Clock: elapsed time, or the processor time of the thread, which hardly depends on other load."""
-    burst: int = 10
+    burst: Annotated[int, Option("N", "timing", least=1)] = 10
     """Frames or steps in a turn. With 1 every method runs with the caches that another one left behind."""
-    json: bool = False
+    json: Annotated[bool, Option(group="output")] = False
     """Print JSON instead of tables."""
 
 
@@ -40,13 +39,19 @@ class Latency(_TimingOptions):
     one thread.
     """
 
-    only: tuple[Literal["stages", "growth"], ...] = ("stages", "growth")
+    only: Annotated[tuple[Literal["stages", "growth"], ...], Option(group="measurement")] = ("stages", "growth")
     """Parts to measure: the stages at every image size; the growth with pixels, points and shapes."""
-    frames: int = 60
+    frames: Annotated[int, Option("N", "measurement", least=1)] = 60
     """Number of counted frames."""
-    sizes: tuple[str, ...] = ("320x240", "640x480", "848x480", "1280x720", "1280x800")
+    sizes: Annotated[tuple[str, ...], Option("WIDTHxHEIGHT ...", "measurement")] = (
+        "320x240",
+        "640x480",
+        "848x480",
+        "1280x720",
+        "1280x800",
+    )
     """Image sizes."""
-    memory: int = 0
+    memory: Annotated[int, Option("N", "measurement", least=0)] = 0
     """Frames over which the growth of the process is measured; 0 leaves it out."""
 
 
@@ -58,11 +63,11 @@ class Peers(_TimingOptions):
     selecting the pixels, nor for an order, which they do not provide.
     """
 
-    only: tuple[Work, ...] = get_args(Work)
+    only: Annotated[tuple[Work, ...], Option(group="measurement")] = get_args(Work)
     """Works to measure."""
-    frames: int = 100
+    frames: Annotated[int, Option("N", "measurement", least=1)] = 100
     """Number of counted frames."""
-    slow_frames: int = 5
+    slow_frames: Annotated[int, Option("N", "measurement", least=0)] = 5
     """Frames on which slow methods run (n_init 10, mixture, fuzzy); 0 leaves these out."""
 
 
@@ -74,20 +79,20 @@ class Envs(_TimingOptions):
     separate column.
     """
 
-    envs: tuple[Env, ...] = ENVS
+    envs: Annotated[tuple[Env, ...], Option(group="measurement")] = ENVS
     """Environments."""
-    sizes: tuple[str, ...] = ("84x84", "160x120", "640x480")
+    sizes: Annotated[tuple[str, ...], Option("WIDTHxHEIGHT ...", "measurement")] = ("84x84", "160x120", "640x480")
     """Image sizes."""
-    renderers: tuple[Literal["gl", "rays"], ...] = ("gl", "rays")
+    renderers: Annotated[tuple[Literal["gl", "rays"], ...], Option(group="measurement")] = ("gl", "rays")
     """Renderers; without OpenGL only rays are measured."""
-    steps: int = 200
+    steps: Annotated[int, Option("N", "measurement", least=1)] = 200
     """Number of counted steps."""
 
 
 def main(name: str, argv: Sequence[str]) -> int:
     """Run one of the commands and return its exit code."""
     options, run = _COMMANDS[name]
-    args = tyro.cli(options, args=list(argv), prog=f"shape-obs bench {name}")
+    args = parse(options, argv, f"shape-obs bench {name}")
     run(args).close()
     return 0
 
@@ -106,7 +111,6 @@ def _timing(args: _TimingOptions, bar: tqdm) -> Timing:
 
 
 def _latency(args: Latency) -> Output:
-    check_minimum(args, frames=1, memory=0, burst=1)
     sizes = tuple(image_size(text, 64, landscape=False) for text in args.sizes)
     from shape_obs.bench import latency
 
@@ -133,7 +137,6 @@ def _latency(args: Latency) -> Output:
 
 
 def _peers(args: Peers) -> Output:
-    check_minimum(args, frames=1, slow_frames=0, burst=1)
     from shape_obs.bench import peers
 
     output, results = _output("peers", args), {}
@@ -152,7 +155,6 @@ def _peers(args: Peers) -> Output:
 
 
 def _envs(args: Envs) -> Output:
-    check_minimum(args, steps=1, burst=1)
     sizes = [image_size(text, 16) for text in args.sizes]
     from shape_obs.bench.env_speed import WARM_UP, speed_row, speed_targets
     from shape_obs.bench.interleaved_timing import opengl

@@ -6,12 +6,11 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
-
-import tyro
+from typing import Annotated, Literal
 
 from shape_obs.bench import Clock
-from shape_obs.cli.bench.output import check_minimum, need_matplotlib, progress
+from shape_obs.cli.bench.output import need_matplotlib, progress
+from shape_obs.cli.parsing import Option, parse
 
 Only = Literal[
     "centerline", "contour", "surface", "gmm", "fcm", "kmeans", "kohonen", "som", "thinning", "contours", "corners"
@@ -26,32 +25,32 @@ class Table:
     folder.
     """
 
-    out: Path = Path("table")
+    out: Annotated[Path, Option("FOLDER", "output")] = Path("table")
     """Folder for the results."""
-    frames: int = 1000
+    # ten frames are two chunks, the fewest that give an interval
+    frames: Annotated[int, Option("N", "measurement", least=10)] = 1000
     """Frames of each configuration."""
-    seed: int = 0
+    seed: Annotated[int, Option("N", "measurement", least=0)] = 0
     """Seed of all frames."""
-    only: tuple[Only, ...] = ()
+    only: Annotated[tuple[Only, ...], Option(group="measurement")] = ()
     """Configurations and methods to measure; all configurations, or all methods, if none is named."""
-    redo: bool = False
+    redo: Annotated[bool, Option(group="measurement")] = False
     """Measure what --only names again, even if the folder holds it."""
-    jobs: int = 1
+    jobs: Annotated[int, Option("N", "processing", least=1)] = 1
     """Processes of one thread each. Times are comparable only if every process has a core."""
-    renderer: Literal["auto", "gl", "rays"] = "auto"
+    renderer: Annotated[Literal["auto", "gl", "rays"], Option(group="measurement")] = "auto"
     """The simulator's renderer."""
-    clock: Clock = "wall"
+    clock: Annotated[Clock, Option(group="timing")] = "wall"
     """Clock: elapsed time, or the processor time of the thread, which hardly depends on other load."""
-    figures: bool = True
+    figures: Annotated[bool, Option(group="output")] = True
     """Draw the figures; they need the extra viz."""
-    json: bool = False
+    json: Annotated[bool, Option(group="output")] = False
     """Print JSON instead of Markdown."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    args = tyro.cli(Table, args=list(argv), prog="shape-obs bench table")
-    check_minimum(args, frames=10, jobs=1, seed=0)  # ten frames are two chunks, the fewest that give an interval
+    args = parse(Table, argv, "shape-obs bench table")
     from shape_obs.bench.interleaved_timing import machine
     from shape_obs.bench.table.figures import draw
     from shape_obs.bench.table.report import as_values, markdown

@@ -8,8 +8,8 @@ from typing import Final
 from shape_obs.cli import run_part
 
 CALIBRATIONS: Final = {
-    "intrinsics": "the camera's intrinsics, from a ChArUco board; checks those of the factory",
-    "base": "the camera's pose in the robot's base frame, from touched markers",
+    "intrinsics": "the camera's intrinsics, from a printed board",
+    "base": "the camera's pose in the base frame, from touched markers",
 }
 
 

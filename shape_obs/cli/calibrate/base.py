@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import tyro
-
-from shape_obs.cli.options import DICTIONARY, open_named, warnings_as_lines
+from shape_obs.cli.options import DICTIONARY, check_source, open_named, read_settings, warnings_as_lines
+from shape_obs.cli.parsing import Option, parse
 
 if TYPE_CHECKING:
     from shape_obs.calibration import BaseFit, Touch
@@ -27,35 +26,33 @@ class Arguments:
     --max-rms, or if one of them does not agree with the others.
     """
 
-    source: str
+    source: Annotated[str, Option("SOURCE", "source", check=check_source)]
     """d455[:serial], FILE.db3, FILE.bag, a folder, a video file, or the id of an environment."""
-    touches: Path | None = None
+    touches: Annotated[Path | None, Option("FILE", "touch", existing="file of touches")] = None
     """A CSV file with the header marker,corner,x,y,z, or a JSON list of such objects; metres, base frame."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("extrinsics.json")
+    out: Annotated[Path, Option("FILE", "output", "-o")] = Path("extrinsics.json")
     """File for the pose."""
-    size: float | None = None
+    size: Annotated[float | None, Option("MM", "marker", above=0)] = None
     """Side of a marker's black square in mm; needed without depth."""
-    dictionary: str = DICTIONARY
+    dictionary: Annotated[str, Option("NAME", "marker")] = DICTIONARY
     """Marker dictionary."""
-    frames: int = 30
+    frames: Annotated[int, Option("N", "source", least=1)] = 30
     """Number of frames; the corners are their median."""
-    max_rms: float = 3.0
+    max_rms: Annotated[float, Option("MM", "touch", above=0)] = 3.0
     """Largest accepted rms residual of the touches in mm."""
-    leave_out: bool = False
+    leave_out: Annotated[bool, Option(group="touch")] = False
     """Leave out touches that do not agree with the others, instead of writing nothing."""
-    max_age_days: float = 30.0
+    max_age_days: Annotated[float, Option("DAYS", "output", above=0)] = 30.0
     """Number of days after which a warning says that the pose is old."""
-    set: tuple[str, ...] = ()
-    """KEY=VALUE ...: arguments of the source, such as exposure=0.01."""
-    json: bool = False
+    set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
+    """Arguments of the source, such as exposure=0.01."""
+    json: Annotated[bool, Option(group="output")] = False
     """Print the result as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = tyro.cli(Arguments, args=list(argv), prog="shape-obs calibrate base")
-    if args.frames < 1 or not args.max_rms > 0 or not args.max_age_days > 0:
-        raise ValueError("expected --frames >= 1, --max-rms > 0 and --max-age-days > 0.")
+    args = parse(Arguments, argv, "shape-obs calibrate base")
     from shape_obs.calibration import read_touches
     from shape_obs.calibration.touch_points import sight
 

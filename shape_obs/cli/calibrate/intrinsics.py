@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
-
 from shape_obs.cli.markers import board_from
-from shape_obs.cli.options import DICTIONARY, open_named, warnings_as_lines
+from shape_obs.cli.options import DICTIONARY, check_source, open_named, read_settings, warnings_as_lines
+from shape_obs.cli.parsing import Option, parse
 
 if TYPE_CHECKING:
     from shape_obs.calibration import BoardViews, IntrinsicsFit
@@ -28,29 +27,29 @@ class Arguments:
     in each pose. The exit code is 1 if the camera's own intrinsics are doubtful.
     """
 
-    source: str
+    source: Annotated[str, Option("SOURCE", "source", check=check_source)]
     """d455[:serial], FILE.db3, FILE.bag, a folder, a video file, or the id of an environment."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("intrinsics.json")
+    out: Annotated[Path, Option("FILE", "output", "-o")] = Path("intrinsics.json")
     """File for the result."""
-    views: int = 20
+    views: Annotated[int, Option("N", "source", least=1)] = 20
     """Number of different views to take from a camera; the largest number for a recording."""
-    seconds: float = 120.0
+    seconds: Annotated[float, Option("SECONDS", "source", above=0)] = 120.0
     """Longest time to wait for them, for a camera."""
-    board: tuple[int, int, float, float] | None = None
+    board: Annotated[tuple[int, int, float, float] | None, Option("COLUMNS ROWS SQUARE MARKER", "marker", above=0)] = (
+        None
+    )
     """Columns, rows, side of a square and of a marker in mm; default: 7 5 36 27, as `shape-obs markers --charuco`."""
-    dictionary: str = DICTIONARY
+    dictionary: Annotated[str, Option("NAME", "marker")] = DICTIONARY
     """Marker dictionary of the board."""
-    set: tuple[str, ...] = ()
-    """KEY=VALUE ...: arguments of the source, such as exposure=0.01."""
-    json: bool = False
+    set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
+    """Arguments of the source, such as exposure=0.01."""
+    json: Annotated[bool, Option(group="output")] = False
     """Print the result as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = tyro.cli(Arguments, args=list(argv), prog="shape-obs calibrate intrinsics")
-    if args.views < 1 or not args.seconds > 0:
-        raise ValueError(f"expected --views >= 1 and --seconds > 0, got {args.views} and {args.seconds}.")
+    args = parse(Arguments, argv, "shape-obs calibrate intrinsics")
     with warnings_as_lines("shape-obs calibrate intrinsics"), open_named(args.source, settings=args.set) as source:
         fit = _measured(source, args)
     fit.save(args.out)

@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from types import SimpleNamespace
 
 import pytest
 
 from shape_obs.cli.bench import MEASUREMENTS
-from shape_obs.cli.bench.output import Output, check_minimum, image_size
+from shape_obs.cli.bench.output import Output, image_size
 
 
 def test_tables_are_printed_when_they_are_complete(capsys):
@@ -29,11 +28,6 @@ def test_json_is_one_document_at_the_end(capsys):
     assert capsys.readouterr().out == ""
     output.close()
     assert json.loads(capsys.readouterr().out) == {"measurement": "it", "key": [{"a": 1}], "claims": []}
-
-
-def test_an_option_below_its_minimum_is_named():
-    with pytest.raises(ValueError, match="--slow-frames: expected at least 0, got -1"):
-        check_minimum(SimpleNamespace(slow_frames=-1), slow_frames=0)
 
 
 @pytest.mark.parametrize("text", ["640", "640x", "axb", "16x640", "8x8", "9999x9999"])

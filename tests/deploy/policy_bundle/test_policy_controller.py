@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from importlib.util import find_spec
 from typing import Any
 
@@ -14,6 +15,7 @@ from cell_parts import HEIGHT, ROPE, WIDTH, ListRobot, RopeSource
 from shape_obs import ShapeObservation, save_bundle
 from shape_obs.cli import main
 from shape_obs.deploy import Still, deploy
+from shape_obs.deploy.policy_bundle import deploy_command
 from shape_obs.robot import ActionSpec
 
 for module in ("mujoco", "stable_baselines3"):
@@ -46,6 +48,27 @@ def run(capsys, *arguments):
 
 #: What a busy machine does to images is none of these tests' business.
 PATIENT = ["--hold", "20", "--max-age", "5", "--watchdog", "30", "--timeout", "10"]
+
+
+def test_the_next_command_names_the_robot_of_the_training(path, tmp_path):
+    import stable_baselines3 as sb3
+
+    robot = "--source robot --robot shape_obs_envs.robots:SimulatedRobot"
+    assert deploy_command(path) == f"shape-obs deploy {path} {robot} --goal robot --episodes 20"
+    env = ShapeObservation(gym.make("shape_obs_envs:ShapeObs/Hanging-v0", camera=[84, 84], grippers=1, step=0.01))
+    model = sb3.SAC("MultiInputPolicy", env, policy_kwargs={"net_arch": [8]}, buffer_size=10, device="cpu")
+    save_bundle(model, env, tmp_path / "hanging one.policy")
+    words = shlex.split(deploy_command(tmp_path / "hanging one.policy"))
+    assert words[2] == str(tmp_path / "hanging one.policy")
+    assert words[7:11] == ["--robot-set", "env=ShapeObs/Hanging-v0", "grippers=1", "step=0.01"]
+
+
+@with_d455
+def test_the_next_command_works_as_printed(capsys, path):
+    words = shlex.split(deploy_command(path).replace("--episodes 20", "--episodes 1 --steps 2"))
+    code, out, err = run(capsys, *words[2:], *PATIENT)
+    assert code == 0, err
+    assert "episodes        1, failed: 0" in out
 
 
 @with_d455
@@ -157,7 +180,7 @@ def test_a_bundle_that_runs_code_needs_trust(capsys, path, tmp_path):
     assert code == 1
     assert "Load it with trust=True (--trust on the command line) only if you trust who made the file" in err
     code, _, err = run(capsys, tmp_path / "own.policy", "--trust", *CELL)
-    assert code == 1
+    assert code == 2
     assert "give --goal FILE, or --goal robot if the robot is simulated" in err
     code, _, err = run(capsys, "--trust", *CELL)
     assert "--trust: only for a trained policy, and none is given" in err

@@ -1,0 +1,38 @@
+"""The command that runs a policy after its training."""
+
+from __future__ import annotations
+
+import os
+import shlex
+
+from shape_obs.deploy.policy_bundle.documents import BundleError
+from shape_obs.deploy.policy_bundle.storage import load_bundle
+
+_ROBOT = "shape_obs_envs.robots:SimulatedRobot"
+_DEFAULT_ENV = "ShapeObs/Cable-v0"  # of the simulated robot
+#: Arguments of an environment that change its actions or goals; others are about its camera and its training.
+_SAME_TASK = ("grippers", "rope", "ropes", "step")
+
+
+def deploy_command(path: str | os.PathLike[str]) -> str:
+    """Return the ``shape-obs deploy`` command that tries a policy on a simulated robot, for a shell.
+
+    Args:
+        path: A bundle, as ``save_bundle`` writes it.
+
+    Raises:
+        BundleError: The policy cannot run with a camera; the message gives the reason.
+    """
+    bundle = load_bundle(path)
+    bundle.check_deployable()
+    env = (bundle.spec.id or "").rpartition(":")[2]
+    if not env.startswith("ShapeObs/"):
+        raise BundleError(f"{env} has no simulated robot here: run `shape-obs deploy {path} --robot module:Class`.")
+    words = ["shape-obs", "deploy", str(path), "--source", "robot", "--robot", _ROBOT]
+    task = {name: value for name, value in bundle.spec.kwargs.items() if name in _SAME_TASK}
+    settings = [f"{name}={value}" for name, value in ({"env": env} | task).items() if value != _DEFAULT_ENV]
+    if settings:
+        words += ["--robot-set", *settings]
+    if bundle.needs_goal and not bundle.has_goal:
+        words += ["--goal", "robot"]
+    return shlex.join([*words, "--episodes", "20"])

@@ -1,0 +1,172 @@
+"""A pixel rule from colours that were learned from clicks: a mixture of the object's colours against all others.
+
+The mixtures are small enough for a config file, and a rule of colours alone compiles to a table, so that a frame costs
+what it costs with a range of hues.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any, Final
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.image.segmentation import ColourRule
+from shape_obs.spec import Spec, SpecError
+
+Array = npt.NDArray[np.float64]
+
+#: Width of the cells of 8-bit Lab in which all colours count as one.
+CELL: Final = 2
+_CELLS: Final = 256 // CELL
+_LIGHTNESS: Final = 100 / 255  # of 8-bit Lab in OpenCV
+_UNKNOWN: Final = 0.02  # weight of colours that are like nothing in the photo
+_GAMUT: Final = 100 * 150 * 150.0  # size of the space of colours in Lab
+_REACH: Final = 6.0  # standard deviations; farther colours are not the object's
+_FEWEST: Final = 30  # samples for each colour of a mixture
+_SPREAD: Final = 4.0  # least variance of a colour: noise, and what is between two cells
+_KEPT: Final = 16  # tables
+
+
+@dataclass(frozen=True)
+class ColourGaussian(Spec):
+    """One colour with its spread.
+
+    Args:
+        weight: Its share of the pixels.
+        mean: (L, a, b) of CIE Lab; L 0...100.
+        covariance: Upper triangle of the covariance: LL, La, Lb, aa, ab, bb.
+    """
+
+    weight: float
+    mean: tuple[float, float, float]
+    covariance: tuple[float, float, float, float, float, float]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (0 < self.weight < np.inf and np.isfinite([*self.mean, *self.covariance]).all()):
+            raise SpecError(f"colour: expected weight > 0 and finite numbers, got {self.weight} and {self.mean}.")
+        if np.linalg.eigvalsh(self.matrix).min() <= 0:
+            raise SpecError(f"colour: covariance {self.covariance} is not positive definite.")
+
+    @cached_property
+    def matrix(self) -> Array:
+        """The covariance, ``(3, 3)``."""
+        return np.array(self.covariance)[[[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+
+
+@dataclass(frozen=True)
+class ClickedColours(ColourRule, kind="click"):
+    """Pixels whose colour is more probable on the object than elsewhere.
+
+    ``propose_segmentation`` learns the colours from clicks on an image.
+
+    Args:
+        picks: (u, v) of the clicks on the object; kept for the record, no pixel is read there again.
+        nots: (u, v) of the clicks that are not on the object.
+        object: The colours of the object, as a mixture.
+        background: The colours of everything else.
+        strictness: Natural logarithm of how many times as probable a colour must be on the object as elsewhere.
+    """
+
+    picks: tuple[tuple[float, float], ...] = ()
+    nots: tuple[tuple[float, float], ...] = ()
+    object: tuple[ColourGaussian, ...] = ()
+    background: tuple[ColourGaussian, ...] = ()
+    strictness: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (self.object and self.background):
+            raise SpecError(
+                "click: the colours are missing; shape_obs.image.colour_picker.propose_segmentation(rgb, picks) learns "
+                "them from an image, as `shape-obs detect IMAGE --pick u,v` does."
+            )
+
+    @cached_property
+    def _hash(self) -> int:
+        return hash((self.object, self.background, self.strictness, self.open, self.close, self.min_area))
+
+    def __hash__(self) -> int:
+        """Return a hash that is computed once: tables are looked up by rule in every frame."""
+        return self._hash
+
+    def matches(self, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
+        """Return the mask of an image: ``(h, w, 3)`` uint8 -> ``(h, w)`` bool."""
+        return _cell_table(self)[cells_of(rgb)]
+
+
+def fit_colours(colours: Array, count: int) -> tuple[ColourGaussian, ...]:
+    """Fit a mixture of at most ``count`` Gaussians to ``(K, 3)`` Lab colours."""
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.mixture import GaussianMixture
+    from threadpoolctl import threadpool_limits
+
+    count = min(count, max(1, len(colours) // _FEWEST))
+    mixture = GaussianMixture(count, reg_covar=_SPREAD, max_iter=12, tol=1e-2, init_params="k-means++", random_state=0)
+    with threadpool_limits(1), warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # nearly there is good enough
+        mixture.fit(colours)
+    upper = np.triu_indices(3)
+    parts = zip(mixture.weights_, mixture.means_, mixture.covariances_, strict=True)
+    return tuple(
+        ColourGaussian(max(round(float(w), 4), 1e-4), *(tuple(np.round(x, 2).tolist()) for x in (m, c[upper])))
+        for w, m, c in parts
+    )
+
+
+def cells_of(rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.int32]:
+    """Return the cell of Lab of each pixel: ``(h, w, 3)`` uint8 -> ``(h, w)`` int32."""
+    cell = (cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB) // CELL).astype(np.int32)
+    return (cell[..., 0] * _CELLS + cell[..., 1]) * _CELLS + cell[..., 2]
+
+
+def colours_of(cells: npt.NDArray[np.integer[Any]]) -> Array:
+    """Return the Lab colour in the middle of cells: ``(K,)`` -> ``(K, 3)``."""
+    lab = np.stack([cells // _CELLS**2, cells // _CELLS % _CELLS, cells % _CELLS], axis=1) * float(CELL)
+    return (lab + (CELL - 1) / 2 - (0, 128, 128)) * (_LIGHTNESS, 1, 1)
+
+
+def lab_of(rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+    """Return the CIE Lab colours of an image, ``(h, w, 3)`` float32: L 0...100, a and b about -128...127."""
+    lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB).astype(np.float32)
+    return (lab - np.float32((0, 128, 128))) * np.float32((_LIGHTNESS, 1, 1))
+
+
+def log_odds(lab: Array, inside: tuple[ColourGaussian, ...], outside: tuple[ColourGaussian, ...]) -> Array:
+    """Return how much more probable colours are in one mixture than in another: ``(K, 3)`` -> ``(K,)`` natural log."""
+    unknown = np.full((1, len(lab)), np.log(_UNKNOWN / _GAMUT))
+    others = np.concatenate([_log_densities(lab, outside), unknown])
+    return np.logaddexp.reduce(_log_densities(lab, inside), axis=0) - np.logaddexp.reduce(others, axis=0)
+
+
+def _log_densities(lab: Array, mixture: tuple[ColourGaussian, ...]) -> Array:
+    """Return the weighted log density of each colour in each Gaussian: ``(G, K)``."""
+    rows = []
+    for each in mixture:
+        inverse = np.linalg.cholesky(np.linalg.inv(each.matrix))
+        scale = np.log(each.weight) - 1.5 * np.log(2 * np.pi) + np.log(np.diag(inverse)).sum()
+        rows.append(scale - 0.5 * (((lab - each.mean) @ inverse) ** 2).sum(axis=1))
+    return np.array(rows)
+
+
+@lru_cache(maxsize=_KEPT)
+def _cell_table(rule: ClickedColours) -> npt.NDArray[np.bool_]:
+    """Return which cells of Lab belong to the object: only those near one of its colours are computed."""
+    table = np.zeros(_CELLS**3, np.bool_)
+    near = np.zeros((_CELLS, _CELLS, _CELLS), np.bool_)
+    for each in rule.object:
+        reach = _REACH * np.sqrt(np.diag(each.matrix))
+        low, high = (
+            ((np.array(each.mean) + side * reach) / (_LIGHTNESS, 1, 1) + (0, 128, 128)) / CELL for side in (-1, 1)
+        )
+        first = np.clip(np.floor(low), 0, _CELLS).astype(int)
+        stop = np.clip(np.ceil(high) + 1, 0, _CELLS).astype(int)
+        near[first[0] : stop[0], first[1] : stop[1], first[2] : stop[2]] = True
+    cells = np.flatnonzero(near)
+    table[cells] = log_odds(colours_of(cells), rule.object, rule.background) > rule.strictness
+    return table
