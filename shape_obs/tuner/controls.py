@@ -19,6 +19,7 @@ _KNOWN: Final[dict[tuple[str, str], tuple[str, float, float, float]]] = {
     ("", "close"): ("Close gaps (px)", 0, 31, 1),
     ("", "min_area"): ("Smallest piece (px)", 1, 5000, 1),
     ("", "min_share"): ("Smallest share", 0, 1, 0.01),
+    ("click", "strictness"): ("Strictness", -8, 12, 0.1),
     ("gray", "low"): ("Brightness from", 0, 255, 1),
     ("gray", "high"): ("Brightness to", 0, 255, 1),
     ("depth", "near"): ("Depth from (m)", 0.05, 5, 0.005),

@@ -175,7 +175,9 @@ class _Page:
         source = self._engine.player.source
         with ui.dialog(value=True) as dialog, ui.card().classes("w-full gap-2").style("max-width: 760px"):
             ui.label("The same in Python").classes("tune-title")
-            text = self._session.python(source.name, source.kind)
+            text = self._session.python(source.name, source.kind, str(self._save_path))
+            if str(self._save_path) in text:
+                ui.label(f"It reads {self._save_path}: press Save first.").classes("tune-hint")
             ui.code(text, language="python").classes("w-full python-code")
             with ui.row().classes("w-full justify-end"):
                 ui.button("Copy", icon="content_copy", on_click=lambda: self._copy(text)).props("flat dense")

@@ -14,6 +14,7 @@ from shape_obs.tuner.history import Path
 from shape_obs.tuner.page_style import TOGGLE
 
 _SHAPES: Final = {"centerline": "Cable", "contour": "Outline", "surface": "Cloth"}
+_NAMES: Final = {"click": "Clicked colours"}
 _RULES: Final = {"hsv": "Colour range", "gray": "Brightness range", "depth": "Depth range"}
 _COUNTS: Final = {"one": "One", **{str(k): str(k) for k in range(1, 9)}, "all": "All"}
 _CHOICES: Final = {
@@ -81,7 +82,7 @@ class Controls:
         if frame is None or frame.depth is None:
             del rules["depth"]
         if rule is not None:
-            rules.setdefault(rule.kind, rule.kind.replace("_", " ").capitalize())
+            rules.setdefault(rule.kind, _NAMES.get(rule.kind, rule.kind.replace("_", " ").capitalize()))
         self._select("Found by", rules, lambda: self._session.rule and self._session.rule.kind, session.choose_rule)
         controls = session.rule_controls()
         common = [each for each in controls if each.path[-1] in ("open", "close", "min_area", "min_share")]

@@ -28,6 +28,11 @@ Image = npt.NDArray[np.uint8]
 _AROUND: Final = 2  # pixels
 _ALIKE: Final = 20  # levels by which the mean colour around a click may change, as by a camera's noise
 READ_ONLY: Final = "This page is read-only: it was started with --read-only."
+_WORDS: Final = {
+    "pick: ": "",
+    "give the colours with --hsv": "choose a colour range",
+    "give pixels of the background with --not": "shift-click on the background",
+}
 _RULES: Final[dict[str, dict[str, Any]]] = {
     "hsv": {"kind": "hsv", "low": [0, 80, 40], "high": [179, 255, 255]},
     "gray": {"kind": "gray", "low": 0, "high": 90},
@@ -159,7 +164,7 @@ class Session:
             try:
                 proposal = propose_segmentation(frame.rgb, picks, nots, frame.depth)
             except ValueError as error:
-                return self._refuse(str(error).replace("pick: ", ""))
+                return self._refuse(_for_the_page(str(error)))
             arguments = replace_at(now.arguments, self.rule_path, proposal.rule.to_dict())
             return self._change(Settings(arguments, _plain(picks), _plain(nots), proposal.text, frame))
 
@@ -205,9 +210,9 @@ class Session:
         """Return the settings as a YAML config file."""
         return dump_config(self.settings.arguments)
 
-    def python(self, source: str, kind: str) -> str:
+    def python(self, source: str, kind: str, file: str) -> str:
         """Return the settings as a Python program; see ``python_code``."""
-        return python_code(self.settings.arguments, source, kind)
+        return python_code(self.settings.arguments, source, kind, file)
 
     def save(self, path: FilePath) -> None:
         """Write the settings to a YAML config file.
@@ -265,6 +270,13 @@ def _unmoved(before: Image, now: Image, pixels: tuple[Pixel, ...]) -> tuple[Pixe
         if np.abs(colours[0] - colours[1]).max() <= _ALIKE:
             kept.append((u, v))
     return tuple(kept)
+
+
+def _for_the_page(error: str) -> str:
+    """Return an error about clicks in the words of the page, without options of the command line."""
+    for option, words in _WORDS.items():
+        error = error.replace(option, words)
+    return error
 
 
 def _plain(pixels: tuple[Pixel, ...]) -> tuple[Pixel, ...]:

@@ -23,7 +23,7 @@ WRONG = {
     "demo": ["--steps 0", "--steps x", "--camera d435x", "--seed -1"],
     "detect": ["", "a.png", "a.png --hsv 1 2 3", "a.png --config c.yaml --pick 1,2", "a.png --pick 1,2 --n 4x",
                "a.png --pick 1", "a.png --pick 1,2 --depth d.png"],
-    "tune": ["", "a.png --port 70000", "a.png --depth d.png", "photos --intrinsics 1 1 1 1", "photos --set a"],
+    "tune": ["", "photos --port 70000", "photos --depth {file}", "photos --intrinsics 1 1 1 1", "photos --set a"],
     "record": ["--source d455", "--source d455 -o r --frames 0", "--source d455 -o r --set a",
                "--source photos -o r.db3"],
     "replay": ["", "rec", "rec --verify --frames 0", "rec --config {file} --csv a.npz"],

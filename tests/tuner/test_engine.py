@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from typing import Any
 
 import cv2
 import numpy as np
@@ -124,7 +125,9 @@ def test_a_change_is_seen_while_it_is_paused(played, photos):
     engine.session.set(("segmentation", "low", 0), 129)
     wait(lambda: not engine.result.detection.ok)
     wait(lambda: engine.jpeg != picture)
-    assert cv2.imdecode(np.frombuffer(engine.jpeg, np.uint8), cv2.IMREAD_COLOR).shape == (480, 640, 3)
+    decoded = cv2.imdecode(np.frombuffer(engine.jpeg, np.uint8), cv2.IMREAD_COLOR)
+    assert decoded is not None
+    assert decoded.shape == (480, 640, 3)
 
 
 def test_a_video_goes_to_the_frame_that_is_asked_for(played, blue, tmp_path):
@@ -225,8 +228,9 @@ def test_stopping_releases_the_camera_and_ends_the_thread(played, blue):
 
 
 def test_a_camera_that_cannot_be_opened_is_an_error(blue):
+    camera: Any = Camera([Frame(blue)], fails_to_open=1)
     with pytest.raises(CameraNotFound, match="no such camera"):
-        Engine(Camera([Frame(blue)], fails_to_open=1), Session()).start()
+        Engine(camera, Session()).start()
 
 
 def test_an_area_outside_of_the_image_is_shown_as_an_error(played, photos):

@@ -133,10 +133,10 @@ def test_from_a_click_to_a_file_that_gives_the_same_points(browser, which, drawn
         page.get_by_role("button", name="Undo").click()
         expect_text(page, ".found", "20 points, all visible")
 
-        slider = page.get_by_role("slider", name="Saturation from")
-        before = int(slider.get_attribute("aria-valuenow"))
+        slider = page.get_by_role("slider", name="Strictness")
+        before = float(slider.get_attribute("aria-valuenow"))
         press(slider, "ArrowLeft")
-        sync_api.expect(slider).to_have_attribute("aria-valuenow", str(before - 1), timeout=PATIENCE)
+        sync_api.expect(slider).not_to_have_attribute("aria-valuenow", f"{before:g}", timeout=PATIENCE)
         page.get_by_role("tab", name="Points").click()
         sync_api.expect(page.locator(".points tbody tr")).to_have_count(20, timeout=PATIENCE)
         cells = page.locator(".points tbody tr").all_inner_texts()
@@ -146,7 +146,7 @@ def test_from_a_click_to_a_file_that_gives_the_same_points(browser, which, drawn
         expect_text(page, ".q-dialog", "Saved")
         page.screenshot(path=tmp_path / "saved.png")
     config = load_config(tmp_path / "shape.yaml")
-    assert config["segmentation"]["low"][1] == before - 1
+    assert config["segmentation"]["strictness"] == pytest.approx(before - 0.1, abs=0.06)
     np.testing.assert_allclose(detected(capsys, photo, tmp_path / "shape.yaml", tmp_path), shown, atol=0.06)
 
 

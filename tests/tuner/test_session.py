@@ -11,7 +11,6 @@ import pytest
 
 from shape_obs import Frame, ShapeDetector, load_config, save_config
 from shape_obs.config.config_file import detector_arguments
-from shape_obs.image.segmentation import HSVRange
 from shape_obs.tuner.session import Session
 
 OFF = (10.0, 10.0)  # a pixel of ``blue`` on the table
@@ -71,6 +70,7 @@ def test_clicks_count_while_the_scene_looks_the_same(clicked, frame, wave, blue)
 
 
 def test_a_bad_value_keeps_the_detector_and_says_why(clicked):
+    clicked.choose_rule("hsv")
     detector = clicked.detector
     assert not clicked.set(("segmentation", "low", 0), 400)
     assert "400" in clicked.error
@@ -92,7 +92,7 @@ def test_undo_and_redo(clicked):
     assert clicked.settings.picks == ()
     assert not clicked.undo()
     assert clicked.redo()
-    assert isinstance(clicked.rule, HSVRange)
+    assert clicked.rule is not None
     clicked.set(("shapes", 0, "n"), 7)
     assert not clicked.can_redo
 
@@ -150,6 +150,17 @@ def test_a_shape_with_a_rule_of_its_own_keeps_it_there(frame, wave):
     assert session.config.segmentation is None
 
 
+def test_few_thresholds_are_in_the_python_program_itself(clicked, blue, tmp_path):
+    clicked.choose_rule("hsv")
+    clicked.set(("segmentation", "low"), [100, 120, 40])
+    program = clicked.python(".", "folder", "shape.yaml")
+    assert "[100, 120, 40]" in program
+    assert "shape.yaml" not in program
+    cv2.imwrite(str(tmp_path / "rope.png"), cv2.cvtColor(blue, cv2.COLOR_RGB2BGR))
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.stdout.startswith("True"), done.stderr
+
+
 def test_nothing_can_be_saved_before_a_click(tmp_path):
     with pytest.raises(ValueError, match="click on the object first"):
         Session().save(tmp_path / "shape.yaml")
@@ -175,8 +186,9 @@ def test_the_python_program_runs_and_finds_the_same(clicked, blue, tmp_path):
     clicked.set(("shapes", 0, "n"), 3)
     clicked.set_roi(((5.0, 5.0), (310.0, 230.0)))
     wanted = clicked.detector.detect(blue).shapes[0].points2d
+    clicked.save(tmp_path / "shape.yaml")
     for kind, name in (("photo", "rope.png"), ("folder", ".")):
-        program = clicked.python(name, kind)
+        program = clicked.python(name, kind, "shape.yaml")
         assert len(program.strip().splitlines()) <= 16
         done = subprocess.run(
             [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=120
