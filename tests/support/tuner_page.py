@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -55,7 +57,12 @@ def serving(*arguments: Any, script: Path | None = None) -> Iterator[Served]:
     command = [sys.executable, *(("-c", COMMAND, "tune") if script is None else (str(script),))]
     options = ["--port", "0", "--no-open"] if script is None else []
     process = subprocess.Popen(
-        [*command, *map(str, arguments), *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*command, *map(str, arguments), *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # A shell's job in the background ignores SIGINT, and so would the process.
+        preexec_fn=(lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)) if os.name == "posix" else None,
     )
     assert process.stdout is not None
     assert process.stderr is not None
