@@ -25,14 +25,13 @@ class Camera:
 
     kind, name, live, has_depth, intrinsics, camera = "camera", "scripted", True, False, None, None
 
-    def __init__(self, frames, fails_to_open=0):
-        self.frames, self.fails_to_open = list(frames), fails_to_open
+    def __init__(self, frames, failing=()):
+        self.frames, self.failing = list(frames), failing  # which attempts to open it fail, from 0
         self.calls: list[str] = []
 
     def connect(self):
         self.calls.append("connect")
-        if self.fails_to_open:
-            self.fails_to_open -= 1
+        if self.calls.count("connect") - 1 in self.failing:
             raise CameraNotFound("scripted: no such camera")
 
     def disconnect(self):
@@ -173,11 +172,10 @@ def test_a_recorded_folder_with_depth(played, tmp_path, photos):
 
 
 def test_a_lost_camera_is_used_again_when_it_is_back(played, blue):
-    camera = Camera([Frame(blue), CameraLost("scripted: unplugged"), Frame(blue)])
+    camera = Camera([Frame(blue), CameraLost("scripted: unplugged"), Frame(blue)], failing=[1])
     engine = played(camera)
-    wait(lambda: engine.state == "lost")
-    assert "unplugged" in engine.message
-    camera.fails_to_open = 1
+    wait(lambda: "unplugged" in engine.message)
+    assert engine.state == "lost"
     wait(lambda: "no such camera" in engine.message)
     assert engine.result.detection.ok  # the last picture stays
     number = engine.number
@@ -228,7 +226,7 @@ def test_stopping_releases_the_camera_and_ends_the_thread(played, blue):
 
 
 def test_a_camera_that_cannot_be_opened_is_an_error(blue):
-    camera: Any = Camera([Frame(blue)], fails_to_open=1)
+    camera: Any = Camera([Frame(blue)], failing=[0])
     with pytest.raises(CameraNotFound, match="no such camera"):
         Engine(camera, Session()).start()
 
