@@ -50,7 +50,7 @@ class ImagePanel:
 
     def __init__(self, engine: Engine) -> None:
         self._engine, self._session = engine, engine.session
-        self._overlay, self._size = "", (0, 0)
+        self._overlay, self._size, self._is_busy = "", (0, 0), False
         self._begin: tuple[float, float] | None = None
         self._end: tuple[float, float] | None = None
         with ui.card().classes("w-full p-3 gap-2 tune-image"):
@@ -150,7 +150,8 @@ class ImagePanel:
         nothing = detection is None and not error
         self._icon.props(f"name={'check_circle' if good else 'radio_button_unchecked' if nothing else 'error'}")
         self._icon.classes(replace="text-positive" if good else "text-grey-6" if nothing else "text-warning")
-        self._found.set_text("Click on the object in the image" if detection is None else summary(detection))
+        text = "Click on the object in the image" if detection is None else summary(detection)
+        self._found.set_text("Looking for what you clicked on ..." if self._is_busy else text)
         shapes = [] if detection is None else [shape for shape in detection if shape.ok]
         self._quality.set_text(f"quality {min(shape.quality for shape in shapes):.2f}" if shapes else "")
         rate = f" · {engine.updates_per_second:.0f} updates/s" if engine.playing and engine.state == "playing" else ""
@@ -174,7 +175,11 @@ class ImagePanel:
         if event.type == "click":
             on_object = self._mode.value == "pick" and not event.shift
             frame = result.moment.frame
-            await run.io_bound(lambda: self._session.click(frame, pixel, on_object=on_object))
+            self._is_busy = True
+            try:
+                await run.io_bound(lambda: self._session.click(frame, pixel, on_object=on_object))
+            finally:
+                self._is_busy = False
         elif event.type == "pointerdown":
             self._begin = self._end = pixel
         elif self._begin is not None:
