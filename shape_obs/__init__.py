@@ -21,10 +21,12 @@ if TYPE_CHECKING:
     from shape_obs.deploy.policy_bundle import load_bundle as load_bundle
     from shape_obs.deploy.policy_bundle import save_bundle as save_bundle
     from shape_obs.detector import ShapeDetector as ShapeDetector
+    from shape_obs.drawing import log_rerun as log_rerun
     from shape_obs.extrinsics import Extrinsics as Extrinsics
     from shape_obs.features import Feature as Feature
     from shape_obs.frame import Frame as Frame
     from shape_obs.image.marker_roi import Markers as Markers
+    from shape_obs.image.mask_function import MaskFunction as MaskFunction
     from shape_obs.image.roi import ROI as ROI
     from shape_obs.image.roi import Polygon as Polygon
     from shape_obs.image.roi import Rectangle as Rectangle
@@ -59,12 +61,14 @@ _HOME = {
     "shape_obs.configurations.contour": ("Contour",),
     "shape_obs.configurations.surface": ("Surface",),
     "shape_obs.detector": ("ShapeDetector",),
+    "shape_obs.drawing": ("log_rerun",),
     "shape_obs.extrinsics": ("Extrinsics",),
     "shape_obs.features": ("Feature",),
     "shape_obs.frame": ("Frame",),
     "shape_obs.markers": ("MarkerLayout", "TopView", "find_markers"),
     "shape_obs.tracking.missing": ("ShapeLostError",),
     "shape_obs.image.marker_roi": ("Markers",),
+    "shape_obs.image.mask_function": ("MaskFunction",),
     "shape_obs.image.roi": ("ROI", "Polygon", "Rectangle", "Whole"),
     "shape_obs.image.segmentation": ("ColourRule", "DepthRange", "GrayRange", "HSVRange", "Segmentation"),
     "shape_obs.shape": ("Detection", "Shape"),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
 from typing import Any, Final
 
@@ -20,12 +20,16 @@ from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.configurations.anchors import Anchors
 from shape_obs.configurations.base import Configuration, Scene
 from shape_obs.configurations.shape_points import SHAPE_FUNCTIONS
-from shape_obs.frame import Frame, check_mask
+from shape_obs.frame import Frame
 from shape_obs.geometry.crossings import Crossing
 from shape_obs.geometry.intersections import crossing_table, find_crossings, joined
 from shape_obs.geometry.observed import Observed
+from shape_obs.image.depth_units import UnitCheck
 from shape_obs.image.find_region import prepare
+from shape_obs.image.mask_check import check_given_mask
+from shape_obs.image.mask_hints import MaskHints
 from shape_obs.image.over_under import find_layers
+from shape_obs.image.region import Region
 from shape_obs.image.roi import ROI
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.shape import Detection, Shape
@@ -38,6 +42,7 @@ from shape_obs.utils.threads import use_no_threads_in_forked_children
 
 Array = npt.NDArray[np.float64]
 ShapeLike = Configuration | Mapping[str, Any] | str
+SegmentationLike = Segmentation | Mapping[str, Any] | str | Callable[..., Any]
 
 _SEARCH_ALL: Final = 30  # frames, after which all of the image is searched: what was hidden may be back
 
@@ -49,7 +54,8 @@ class ShapeDetector:
 
     Args:
         shapes: Configurations, as specs, mappings or names: ``[Centerline(n=20)]``, ``["centerline"]``.
-        segmentation: The pixel rule, as a spec or a mapping; not needed for ``detect_mask``.
+        segmentation: The pixel rule, as a spec, a mapping, a function ``(rgb, depth) -> mask`` or its import path
+            ``"module:function"``, see ``MaskFunction``; not needed for ``detect_mask``.
         options: The other fields of ``DetectorConfig``.
 
     Attributes:
@@ -69,7 +75,7 @@ class ShapeDetector:
     def __init__(
         self,
         shapes: Iterable[ShapeLike] | ShapeLike | None = None,
-        segmentation: Segmentation | Mapping[str, Any] | None = None,
+        segmentation: SegmentationLike | None = None,
         **options: Any,
     ) -> None:
         given = {"shapes": shapes, "segmentation": segmentation}
@@ -85,6 +91,7 @@ class ShapeDetector:
         compile_now(functions)
         if any(spec.lift == "cloud" for spec in self.shapes):
             import_module("shape_obs.point_cloud.deprojection")  # so that the first frame does not wait for it
+        self._units = UnitCheck()
         self.reset()
 
     def reset(self) -> None:
@@ -92,6 +99,8 @@ class ShapeDetector:
         self._followed: list[Tracker | Slots] = [
             Tracker(spec, self.config) if spec.count is None else Slots(spec, self.config) for spec in self._filled
         ]
+        self._units.reset()
+        self._hints = MaskHints()
         self._clock = Clock(self.config.dt)
         self._roi_memory: Any = None  # what a region of interest that moves remembers
         self._frames = 0
@@ -140,14 +149,14 @@ class ShapeDetector:
         stamp: float | None = None,
         anchors: Anchors = None,
     ) -> Detection:
-        """Find the shapes in a mask from elsewhere: ``(H, W)`` bool or uint8, 0 = background. Else as ``detect``.
+        """Find the shapes in a mask from elsewhere: ``(H, W)`` bool, or 0 and 1, or 0 and 255. Else as ``detect``.
 
         The picture ``rgb``, if there is one, shows which strand is above at a crossing, and with a ``count`` which
         ropes have unlike colours.
         """
         begin = time.perf_counter()
         frame = Frame(rgb, depth, as_camera_model(camera), stamp)
-        return self._detect_in_image(frame, check_mask(mask, frame), anchors, begin)
+        return self._detect_in_image(frame, check_given_mask(mask, frame), anchors, begin)
 
     def detect_cloud(
         self,
@@ -177,6 +186,8 @@ class ShapeDetector:
 
         begin = time.perf_counter()
         frame, cloud = Frame(None, None, as_camera_model(camera), stamp), read_cloud(points)
+        if self._units.pending:
+            self._units.look_at_cloud(cloud.points)
         now = _lap(timings := {}, "cloud", begin)
         self._clock.tick(frame.stamp)
         moment, shapes = Moment(frame, self._clock, anchors, timings, in_2d=False, in_3d=True), []
@@ -215,6 +226,8 @@ class ShapeDetector:
         moment, shapes = Moment(frame, self._clock, anchors, timings, in_2d=True, in_3d=with_depth, size=size), []
         for followed in self._followed:
             shapes += self._find(followed, search, reason, moment)
+        if self._units.pending and frame.depth is not None and search is not None:
+            self._units.look_at_depth(search.regions.values(), frame.depth)
         shapes, crossings = self._cross(shapes, moment)
         _lap(timings, "total", begin)
         more = {each.spec.name: each.more for each in self._followed if isinstance(each, Slots) and each.more}
@@ -236,6 +249,14 @@ class ShapeDetector:
                 shapes[k] = followed[names.index(shape.name)].cross(shape, own)
         return shapes, crossings
 
+    def _explained(self, region: Region, followed: Tracker | Slots, search: RegionSearch) -> Region:
+        """Return an empty region with hints in its refusal, if the shape was never found and a rule looked for it."""
+        rule = followed.spec.segmentation
+        if search.mask is not None or rule is None or region.noise or any(each.was_found for each in followed.trackers):
+            return region
+        mask = search.whole_mask(rule) if rule.whole_image else None
+        return self._hints.explained(region, rule, search.frame, mask, search.roi, self._frames)
+
     def _find(self, followed: Tracker | Slots, search: RegionSearch | None, reason: str, moment: Moment) -> list[Shape]:
         """Find a shape, or several in one mask: near where the tracks expect them, and if that fails everywhere."""
         now, frame, timings, spec = time.perf_counter(), moment.frame, moment.timings, followed.spec
@@ -247,6 +268,8 @@ class ShapeDetector:
             scene = Scene(search.whole, frame.depth, frame.camera.intrinsics, frame.images, diagonal)
         while True:
             region = search.region(rule)  # image -> region
+            if region.refusal:
+                region = self._explained(region, followed, search)
             now = _lap(timings, "segmentation" if search.mask is None else "region", now)
             if isinstance(followed, Slots):
                 tries = followed.attempt(region, moment, scene)
@@ -256,7 +279,7 @@ class ShapeDetector:
                     break
                 continue
             observed: Observed = region
-            if spec.lift == "cloud":
+            if spec.lift == "cloud" and not (region.refusal and not followed.was_found):
                 observed = search.cloud(rule)  # depth enters: region -> cloud
                 now = _lap(timings, "cloud", now)
             found = followed.fit(observed, moment, scene)  # -> form, matched and validated

@@ -19,7 +19,7 @@ DepthImages = tuple[npt.NDArray[np.uint16], npt.NDArray[np.float32]]
 #: The type of ``DepthImages`` as compiled functions declare it.
 DEPTH_TYPE: Final = "Tuple((Array(u2, 2, 'C', readonly=True), Array(f4, 2, 'C', readonly=True)))"
 # Types as NumPy holds them, which compare several times as fast as their classes.
-_BYTE, _WORD, _FLAG, _SINGLE = np.dtype(np.uint8), np.dtype(np.uint16), np.dtype(np.bool_), np.dtype(np.float32)
+_BYTE, _WORD, _SINGLE = np.dtype(np.uint8), np.dtype(np.uint16), np.dtype(np.float32)
 _NO_DEPTH: Final = np.zeros((0, 0), np.float32)
 _NO_MILLIMETRES: Final = np.zeros((0, 0), np.uint16)
 _NO_DEPTH.flags.writeable = _NO_MILLIMETRES.flags.writeable = False
@@ -128,29 +128,6 @@ def depth_in_metres(depth: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     metres = depth.astype(np.float64) * (MILLIMETRE if depth.dtype == np.uint16 else 1.0)
     metres[~((metres > 0) & (metres < FARTHEST))] = np.nan
     return metres
-
-
-def check_mask(mask: npt.NDArray[Any], frame: Frame) -> npt.NDArray[np.uint8]:
-    """Return a mask as uint8, without a copy.
-
-    Args:
-        mask: ``(H, W)`` bool or uint8.
-        frame: The images and the camera, which must have the mask's size.
-
-    Raises:
-        TypeError: A wrong array type or dtype.
-        ValueError: A wrong shape, or another size than the images or the camera.
-    """
-    if not isinstance(mask, np.ndarray) or mask.dtype not in (_FLAG, _BYTE):
-        raise TypeError(f"mask: expected a numpy array of bool or uint8, got {_describe(mask)}.")
-    if mask.ndim != 2 or mask.size == 0:
-        raise ValueError(f"mask: expected shape (H, W), got {mask.shape}.")
-    camera = frame.camera and frame.camera.intrinsics.size
-    image = "rgb" if frame.depth is None else "depth"
-    for name, other in ((image, frame.size), ("the camera's intrinsics", camera)):
-        if other is not None and other != mask.shape:
-            raise ValueError(f"the mask has {_size(mask)}, {name} {other[1]} x {other[0]}: they must be equal.")
-    return mask.view(np.uint8)
 
 
 def _check_rgb(rgb: Any) -> None:

@@ -116,8 +116,9 @@ class Robot(Protocol):
     - ``stop`` works at any time and from any thread, even while another thread is blocked in ``send``, ``reset`` or
       ``park``. It ends the motion that these have started and cancels one that they have not started yet.
 
-    A robot may also have ``anchors``, a mapping of names to base-frame points (x, y, z) where it holds the object now,
-    and ``name`` for logs.
+    A robot may also have ``anchors``, a mapping of names to base-frame points (x, y, z) where it holds the object now;
+    ``measured``, a mapping of names to numbers that recordings keep next to ``state()``, such as joint angles, the pose
+    of the tool or forces; and ``name`` for logs.
     """
 
     @property
@@ -215,6 +216,11 @@ def check_robot(robot: Any) -> None:
 def robot_anchors(robot: Any) -> Anchors:
     """Return the points (x, y, z) in metres, base frame, where the robot holds the object, by name; possibly empty."""
     return getattr(robot, "anchors", {})
+
+
+def measured(robot: Any) -> Mapping[str, float]:
+    """Return the numbers that the robot measures now, by name, in a fixed order; empty if it publishes none."""
+    return getattr(robot, "measured", {})
 
 
 def robot_name(robot: Any) -> str:

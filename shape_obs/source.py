@@ -1,4 +1,4 @@
-"""RGBDSource: the interface of everything that provides frames, and its errors.
+"""RGBDSource: the interface of everything that provides frames, its check, and its errors.
 
 Cameras, recordings, folders of images, videos and environments share this interface. Implementations are in
 ``shape_obs_envs.sources``; ``shape_obs_envs.sources.open_source`` makes one from a string such as ``"d455"``.
@@ -6,10 +6,11 @@ Cameras, recordings, folders of images, videos and environments share this inter
 
 from __future__ import annotations
 
+import inspect
 from abc import ABC, abstractmethod
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
 
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.extrinsics import Extrinsics
@@ -75,13 +76,15 @@ class RGBDSource(Protocol):
 
     Python before 3.12 evaluates the properties in ``isinstance(source, RGBDSource)``: connect the source first.
 
-    A source may also have ``anchors``, a mapping of names to points where the object was held in the last frame, and
-    ``episode``, the number of the uninterrupted sequence that the frame belongs to; recordings store both.
+    A source may also have ``anchors``, a mapping of names to points where the object was held in the last frame;
+    ``episode``, the number of the uninterrupted sequence that the frame belongs to; ``transition``, the action, reward
+    and end of the step that led to it; ``state``, that of the robot; and ``robot_info``, the names of the values of
+    both. Recordings store them; see ``shape_obs.recording.Moment``.
     """
 
     @property
     def kind(self) -> str:
-        """``"d455"``, ``"software"``, ``"recording"``, ``"folder"``, ``"video"`` or ``"env"``."""
+        """``"d455"``, ``"webcam"``, ``"recording"``, ``"rosbag"``, ``"folder"``, ``"video"``, ``"env"``: any word."""
         ...
 
     @property
@@ -96,7 +99,11 @@ class RGBDSource(Protocol):
 
     @property
     def has_depth(self) -> bool:
-        """Whether frames carry depth."""
+        """Whether frames carry depth.
+
+        Raises:
+            NotConnected: This is known only once the source is connected.
+        """
         ...
 
     @property
@@ -164,6 +171,37 @@ class RGBDSource(Protocol):
     ) -> None:
         """Disconnect."""
         ...
+
+
+_ATTRIBUTES: Final = ("kind", "name", "live", "has_depth", "intrinsics", "camera")
+_METHODS: Final = ("connect", "read", "read_latest", "disconnect", "__enter__", "__exit__")
+
+
+def check_source(source: Any, what: str = "source") -> None:
+    """Check that an object has the interface of ``RGBDSource``, without evaluating a property or opening anything.
+
+    Args:
+        source: The object.
+        what: The start of the error message, such as the word that named the object.
+
+    Raises:
+        TypeError: The message lists everything that is missing, or the arguments that ``read`` or ``read_latest``
+            does not take.
+    """
+    name, absent = type(source).__name__, object()
+    missing = [attribute for attribute in _ATTRIBUTES if inspect.getattr_static(source, attribute, absent) is absent]
+    missing += [f"{method}()" for method in _METHODS if not callable(getattr(source, method, None))]
+    if missing:
+        raise TypeError(
+            f"{what}: expected an object as shape_obs.source.RGBDSource describes it, {name} has no "
+            f"{', '.join(missing)}. Subclass shape_obs_envs.sources.LiveSource, which has all but "
+            "open(), grab() and close()."
+        )
+    for method, arguments in (("read", ("timeout", "fresh")), ("read_latest", ("max_age",))):
+        taken = inspect.signature(getattr(source, method)).parameters.values()
+        names = {parameter.name for parameter in taken if parameter.kind is not parameter.POSITIONAL_ONLY}
+        if not names.issuperset(arguments) and not any(each.kind is each.VAR_KEYWORD for each in taken):
+            raise TypeError(f"{what}: {name}.{method} must take the arguments {', '.join(arguments)}.")
 
 
 class Source(ABC):

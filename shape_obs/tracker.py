@@ -142,6 +142,11 @@ class Tracker:
         self._last = replace(shape, crossings=crossings)
         return self._last
 
+    @property
+    def was_found(self) -> bool:
+        """Whether the shape was found since the last reset."""
+        return self._last is not None
+
     def is_held(self, moment: Moment) -> bool:
         """Return whether the shape was found at most ``max_age`` seconds ago."""
         return self._last is not None and moment.clock.now - self._seen_at <= self._config.max_age

@@ -118,9 +118,9 @@ def test_lists_and_numpy_values_become_plain_ones_whichever_way_they_come():
 @pytest.mark.parametrize(
     ("family", "value", "message"),
     [
-        (Segmentation, {"kind": "hvs"}, "segmentation: unknown kind 'hvs'; did you mean 'hsv'? Known: depth, gray"),
-        (Segmentation, {"low": 3}, "segmentation: 'kind' is missing; known kinds: depth, gray, hsv"),
-        (Segmentation, {"kind": 5}, "segmentation: unknown kind 5. Known: depth, gray, hsv"),
+        (Segmentation, {"kind": "hvs"}, "segmentation: unknown kind 'hvs'; did you mean 'hsv'? Known: callable, click"),
+        (Segmentation, {"low": 3}, "segmentation: 'kind' is missing; known kinds: callable, click, depth, gray, hsv"),
+        (Segmentation, {"kind": 5}, "segmentation: unknown kind 5. Known: callable, click, depth, gray, hsv"),
         (
             Segmentation,
             {"kind": "gray", "hihg": 3},

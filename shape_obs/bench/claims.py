@@ -16,7 +16,7 @@ from shape_obs.bench.tables import Row
 Tables = Iterator[tuple[str, Iterable[Row]]]
 Group = Literal[
     "ropes", "tangles", "several", "hands", "motion", "belief", "noise", "outlines", "sheets", "clouds", "markers",
-    "cable", "envs", "camera", "deploy", "robustness", "time",
+    "clicks", "cable", "envs", "camera", "deploy", "robustness", "time",
 ]  # fmt: skip
 
 
@@ -172,6 +172,17 @@ def _markers(effort: Effort) -> Tables:
     yield "markers and calibration, asked and seen", markers.targets(top, placed[0], cameras)
 
 
+def _clicks(effort: Effort) -> Tables:
+    from shape_obs.bench import click_claims as clicks
+    from shape_obs.bench.synthetic.object_photos import object_photos
+
+    table = clicks.click_table(clicks.by_clicks(object_photos(effort.count(280), effort.seed)))
+    yield "clicks on drawn photos, and the same clicks for others", table
+    costs = clicks.frame_costs(effort.count(300), effort.seed)
+    yield "a frame at 640 x 480 by clicked colours", costs
+    yield "clicks: asked and seen", clicks.targets(table, costs)
+
+
 def _cable(effort: Effort) -> Tables:
     from shape_obs.bench.rope_claims import cable_episodes
 
@@ -242,7 +253,7 @@ def _time(effort: Effort) -> Tables:
 
 
 _FUNCTIONS: Final = (
-    _ropes, _tangles, _several, _hands, _motion, _belief, _noise, _outlines, _sheets, _clouds, _markers,
+    _ropes, _tangles, _several, _hands, _motion, _belief, _noise, _outlines, _sheets, _clouds, _markers, _clicks,
     _cable, _envs, _camera, _deploy, _robustness, _time,
 )  # fmt: skip
 GROUPS: Final[dict[Group, Callable[[Effort], Tables]]] = dict(zip(get_args(Group), _FUNCTIONS, strict=True))

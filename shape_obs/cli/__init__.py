@@ -22,6 +22,7 @@ COMMANDS: Final = {
     "detect": "find the shape in image files",
     "record": "record frames from a camera, a file or an environment",
     "replay": "find the shape in every frame of a recording",
+    "view": "show a recording in the rerun viewer",
     "extract": "find the shapes in many recordings, as a Parquet dataset",
     "fit-features": "fit principal components to recorded shapes",
     "goal": "record the shape that the camera sees now as a goal",
@@ -51,6 +52,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     if command not in COMMANDS:
         print(f"shape-obs: unknown command {command!r}{did_you_mean(command, COMMANDS)}", file=sys.stderr)
         sys.exit(2)
+    if "" not in sys.path:
+        sys.path.append("")  # module:Name may lie in the current folder, as with ``python -m``
     prog = " ".join(["shape-obs", command, *rest[:1]] if command in _GROUPS else ["shape-obs", command])
     try:
         status = import_module(f"shape_obs.cli.{command.replace('-', '_')}").main(rest)

@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from shape_obs.cli.parsing import Option, parse
+from shape_obs.cli.rerun_option import TARGET, check_target, open_rerun, with_rerun_value
 
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
+    from shape_obs.drawing import RerunLog
     from shape_obs.shape import Detection
 
 _ORANGE = (235, 130, 40)  # the goal
@@ -32,6 +34,9 @@ class Arguments:
     """The simulated camera: 640 x 480 or 160 x 120."""
     renderer: Annotated[Literal["auto", "gl", "rays"], Option(group="camera")] = "auto"
     """OpenGL, ray casting, or the first of them that is available."""
+    rerun: Annotated[str | None, Option(TARGET, "output", check=check_target)] = None
+    """Log the episode to rerun: to FILE.rrd, or to the viewer with an address; without a value it opens the viewer, or
+    where there is no display writes OUT/demo.rrd (needs the extra 'rerun')."""
 
 
 @dataclass
@@ -50,14 +55,20 @@ class Record:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = parse(Arguments, argv, "shape-obs demo")
+    args = parse(Arguments, with_rerun_value(argv), "shape-obs demo")
     import numpy as np
 
     from shape_obs.utils.arrays import write_gif, write_image
     from shape_obs.utils.files import make_folder
 
     out = make_folder(args.out)
-    record = run_episode(args)
+    if args.rerun is None:
+        record = run_episode(args)
+    else:
+        from shape_obs.drawing import RerunLog
+
+        with open_rerun(args.rerun, out / "demo", "shape-obs demo") as stream:
+            record = run_episode(args, RerunLog(stream.recording))
     write_image(out / "demo.png", np.concatenate([record.frames[0], record.frames[-1]], axis=1))
     write_gif(out / "demo.gif", record.frames, 0.05)
     print(summary(record))
@@ -65,7 +76,7 @@ def main(argv: Sequence[str]) -> int:
     return 0
 
 
-def run_episode(args: Arguments) -> Record:
+def run_episode(args: Arguments, log: RerunLog | None = None) -> Record:
     """Play the motion that leads to the goal of the episode, and detect the cable in every frame."""
     import gymnasium as gym
     import numpy as np
@@ -74,7 +85,7 @@ def run_episode(args: Arguments) -> Record:
     from shape_obs.wrappers import ShapeObservation
 
     cable = "shape_obs_envs:ShapeObs/Cable-v0"
-    env = ShapeObservation(gym.make(cable, camera=args.camera, renderer=args.renderer, render_mode="rgb_array"))
+    env = ShapeObservation(gym.make(cable, camera=args.camera, renderer=args.renderer, render_mode="rgbd_tuple"))
     simulator: Any = env.unwrapped
     record = Record([], [], [], [], [], [])
     try:
@@ -83,7 +94,7 @@ def run_episode(args: Arguments) -> Record:
         for step in tqdm(range(args.steps), unit="step", leave=False):
             action = actions[step] if step < len(actions) else np.zeros(6, np.float32)
             observation, _, _, _, info = env.step(action)
-            _remember(record, env, observation, info)
+            _remember(record, env, observation, info, log)
     finally:
         env.close()
     return record
@@ -111,11 +122,15 @@ def summary(record: Record) -> str:
     )
 
 
-def _remember(record: Record, env: Any, observation: dict[str, Any], info: dict[str, Any]) -> None:
+def _remember(
+    record: Record, env: Any, observation: dict[str, Any], info: dict[str, Any], log: RerunLog | None
+) -> None:
     """Add one frame and its measurements to the record."""
     import numpy as np
 
     from shape_obs.drawing import draw_detection, draw_text
+    from shape_obs.drawing.matching_pixels import matching_pixels
+    from shape_obs.frame import Frame
 
     detection: Detection = env.detection
     shape = detection.shapes[0]
@@ -132,9 +147,19 @@ def _remember(record: Record, env: Any, observation: dict[str, Any], info: dict[
     goal = observation["desired_goal"].reshape(-1, 3)
     record.goal_distances_mm.append(1e3 * float(np.linalg.norm(found - goal, axis=1).mean()))
     record.vectors.append(observation["observation"])
-    picture = env.render()
+    picture, depth = env.render()
     scale = max(1, 480 // picture.shape[0])
     goal_pixels = simulator.camera_model.project_from_base(goal)
+    if log is not None:
+        log.log(
+            detection,
+            picture,
+            depth,
+            simulator.camera_model,
+            mask=matching_pixels(Frame(picture, depth), env.detector),
+            features=env.named_features(observation["observation"]),
+            goals=[goal_pixels],
+        )
     canvas = draw_detection(picture, detection, scale=scale, under=[(goal_pixels, _ORANGE)])
     away = record.goal_distances_mm[-1]
     draw_text(canvas, f"step {len(record.frames) + 1}: {away:.1f} mm from the goal (orange)", (12, 24))

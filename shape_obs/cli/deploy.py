@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Annotated, Any
 from shape_obs.cli.controller import ControllerArguments, Deployment, check_controller, make_deployment
 from shape_obs.cli.options import RATE, warnings_as_lines
 from shape_obs.cli.parsing import Option, parse
+from shape_obs.cli.rerun_option import TARGET, check_target, open_rerun, with_rerun_value
 from shape_obs.utils.errors import UsageError
 
 
@@ -47,15 +49,20 @@ class Arguments(ControllerArguments):
     """Send the robot to its safe pose at the end; --no-park leaves it where it is."""
     log: Annotated[Path | None, Option("FOLDER", "output")] = None
     """Folder for the log: the setup, one line per step, and the report."""
+    record: Annotated[Path | None, Option("FOLDER", "output")] = None
+    """Folder for a recording of the run: frames, actions, rewards and the robot's state; see `shape-obs replay`."""
     view: Annotated[int | None, Option("PORT", "output", least=0, most=65535)] = None
     """Port of a web page that shows what the camera sees; needs the extra 'view'."""
+    rerun: Annotated[str | None, Option(TARGET, "output", check=check_target)] = None
+    """Log the run to rerun: to FILE.rrd, or to the viewer with an address; without a value it opens the viewer, or
+    where there is no display writes a file next to --log, else deploy.rrd (needs the extra 'rerun')."""
     json: Annotated[bool, Option(group="output")] = False
     """Print the report as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = parse(Arguments, argv, "shape-obs deploy", check_controller)
+    args = parse(Arguments, with_rerun_value(argv), "shape-obs deploy", check_controller)
     box = _box(args)
     from threadpoolctl import threadpool_limits
 
@@ -65,11 +72,12 @@ def main(argv: Sequence[str]) -> int:
 
 def _run(args: Arguments, box: Any) -> int:
     from shape_obs.cli.episodes import play
-    from shape_obs.deploy import Interrupted, Limits, RunLog, deploy
+    from shape_obs.deploy import Interrupted, Limits, RunLog, RunRecorder, deploy
 
     limits = Limits(args.hold, args.min_valid, args.max_age, args.watchdog)
     setup = make_deployment(args, max_step=args.max_step, workspace=box)
     header = _header(setup, limits)
+    recorder = None if args.record is None else RunRecorder(args.record)
 
     def run(number: int | None = None) -> Any:
         """Run once. Each of several episodes gets its own log, and the robot stays connected after it."""
@@ -82,16 +90,24 @@ def _run(args: Arguments, box: Any) -> int:
             seconds=None if args.seconds == inf else args.seconds,
             until_reached=args.until_reached,
             log=None if folder is None else RunLog(folder, header),
+            record=recorder,
             on_step=shown.step,
             park=args.park and number is None,
             close=number is None,
         )
 
     def show(report: Any) -> None:
-        print(json.dumps(report.to_dict()) if args.json else report)
+        recorded = None if recorder is None else recorder.close()
+        kept = {} if recorded is None else {"recording": recorded.to_dict()}
+        print(json.dumps({**report.to_dict(), **kept}) if args.json else report)
+        if recorded is not None and not args.json:
+            print(
+                f"recording       {recorded.frames} frames with {recorded.actions} actions in {recorded.path}, "
+                f"dropped: {recorded.dropped}"
+            )
 
     try:
-        with _Progress(setup.arguments, setup.env) as shown:
+        with recorder or nullcontext(), _Progress(setup.arguments, setup.env) as shown:
             if args.episodes is None:
                 report = run()
                 failed = report.failed
@@ -124,17 +140,24 @@ def _header(setup: Deployment, limits: Any) -> dict[str, Any]:
 
 
 class _Progress:
-    """Show the steps in a progress bar and, with ``--view``, on a web page."""
+    """Show the steps in a progress bar and, with ``--view`` and ``--rerun``, on a web page and in rerun."""
 
     def __init__(self, args: Arguments, env: Any) -> None:
         from tqdm import tqdm
 
-        self._view = None
+        self._views: list[Any] = []
+        self._end = ExitStack()
         if args.view is not None:
             from shape_obs.deploy.view import LiveView
 
-            self._view = LiveView(args.view, env)
-            print(f"shape-obs deploy: live view at {self._view.url}", file=sys.stderr)
+            page = LiveView(args.view, env)
+            self._views.append(page)
+            print(f"shape-obs deploy: live view at {page.url}", file=sys.stderr)
+        if args.rerun is not None:
+            from shape_obs.deploy.rerun_view import RerunView
+
+            stream = open_rerun(args.rerun, args.log or Path("deploy"), "shape-obs deploy")
+            self._views.append(RerunView(self._end.enter_context(stream).recording, env))
         rate = RATE if args.rate is None else args.rate
         total = args.steps if args.steps is not None else None if args.seconds == inf else round(args.seconds * rate)
         total = total and total * (args.episodes or 1)
@@ -144,16 +167,17 @@ class _Progress:
         """Show one step."""
         self._bar.update()
         self._bar.set_postfix_str(moment.judgement.cause, refresh=False)
-        if self._view is not None:
-            self._view.show(moment)
+        for view in self._views:
+            view.show(moment)
 
     def __enter__(self) -> _Progress:
         return self
 
     def __exit__(self, *_: object) -> None:
         self._bar.close()
-        if self._view is not None:
-            self._view.close()
+        for view in self._views:
+            view.close()
+        self._end.close()
 
 
 def _box(args: Arguments) -> Any:

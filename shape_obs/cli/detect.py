@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from tyro.conf import UseAppendAction
 
+from shape_obs.cli.options import warnings_as_lines
 from shape_obs.cli.parsing import Option, parse, wrong_usage
 from shape_obs.utils.errors import UsageError
 
@@ -27,10 +28,10 @@ _Bounds: TypeAlias = tuple[int, int, int, int, int, int]
 class Arguments:
     """Find the shape in image files.
 
-    Prints one line of JSON per image to stdout, and writes each image with the points drawn over it to a folder. The
-    exit code is 1 if a file could not be read or a shape was not found.
+    Prints one line of JSON per image to stdout and one for people to stderr, and writes each image with the points
+    drawn over it to a folder. The exit code is 1 if a file could not be read or a shape was not found.
 
-    Describe how the object looks with one of --config, --hsv and --pick.
+    Describe how the object looks with one of --config, --hsv, --segmentation and --pick.
     """
 
     images: Annotated[tuple[Path, ...], Option("IMAGE ...", positional=True)]
@@ -39,6 +40,9 @@ class Arguments:
     """A YAML config file, as --pick writes it."""
     hsv: Annotated[_Bounds | None, Option("H S V H S V", "object", least=0, most=255)] = None
     """The object's colour: low h s v, high h s v (h 0...179, s and v 0...255; red wraps around: 170 ... 10 ...)."""
+    segmentation: Annotated[str | None, Option("MODULE:FUNCTION", "object")] = None
+    """Your own function (rgb, depth) -> mask, which returns the object's pixels; modules in the current folder are
+    found."""
     pick: Annotated[tuple[str, ...], Option("U,V", "object"), UseAppendAction] = ()
     """A pixel on the object in the first image; may be repeated. The colours of the object are learned and written to
     --save-config."""
@@ -75,22 +79,52 @@ def main(argv: Sequence[str]) -> int:
     out = make_folder(args.out)
     failed = 0
     for i, path in enumerate(_with_progress(args.images)):
-        result = _detect(detector, args, i, out)
+        with warnings_as_lines("shape-obs detect"):
+            result = _detect(detector, args, i, out)
         failed += not result.get("ok", False)
-        if "error" in result:
-            from tqdm import tqdm
-
-            tqdm.write(f"shape-obs detect: {result['error']}", file=sys.stderr)  # above the bar
+        _say(_line(path, result), many=len(args.images) > 1)
         print(json.dumps({"image": str(path), **result}), flush=True)
     return 1 if failed else 0
 
 
+def _line(path: Path, result: Mapping[str, Any]) -> str:
+    """Return what was found in an image as one line for people."""
+    if "error" in result:
+        error = " ".join(result["error"].split())
+        return error if error.startswith(str(path)) else f"{path}: {error}"
+    shapes = []
+    for shape in result["shapes"]:
+        if shape["reason"]:
+            shapes.append(f"{shape['name']} not found: {shape['reason']}")
+            continue
+        seen, valid = shape["visible"].count(True), shape["valid"].count(True)
+        points = f"{len(shape['visible'])} points"
+        points += f", {seen} of them visible" if seen < len(shape["visible"]) else ""
+        points += f", {valid} with depth" if shape["points3d"] is not None else ""
+        shapes.append(f"{shape['name']} found, quality {shape['quality']:.2f}, {points}")
+    return f"{path}: {'; '.join(shapes) or 'nothing found'}; picture: {result['overlay']}"
+
+
+def _say(line: str, *, many: bool) -> None:
+    """Print a line to stderr, above the progress bar if there is one."""
+    if many:
+        from tqdm import tqdm
+
+        tqdm.write(line, file=sys.stderr)
+    else:
+        print(line, file=sys.stderr)
+
+
 def _check(args: Arguments) -> None:
     """Reject options that do not go together, before anything slow is imported."""
-    ways = [f"--{name}" for name in ("config", "hsv", "pick") if getattr(args, name) not in (None, ())]
+    ways = [f"--{name}" for name in ("config", "hsv", "segmentation", "pick") if getattr(args, name) not in (None, ())]
     if len(ways) != 1:
         got = " and ".join(ways) or "none"
-        raise UsageError(f"give exactly one of --config FILE, --hsv ... or --pick u,v; got {got}.")
+        raise UsageError(
+            f"give exactly one of --config FILE, --hsv ..., --segmentation module:function or --pick u,v; got {got}."
+        )
+    if args.segmentation is not None and ":" not in args.segmentation:
+        raise UsageError(f"--segmentation: expected module:function, got {args.segmentation!r}.")
     if args.depth and len(args.depth) != len(args.images):
         raise UsageError(f"got {len(args.images)} images but {len(args.depth)} depth files; give one per image.")
     if args.depth and args.intrinsics is None:
@@ -149,6 +183,8 @@ def _detector_arguments(args: Arguments) -> dict[str, Any]:
     elif args.hsv is not None:
         with wrong_usage():
             arguments = {"segmentation": HSVRange(args.hsv[:3], args.hsv[3:])}
+    elif args.segmentation is not None:
+        arguments = {"segmentation": args.segmentation}
     else:
         arguments = {"segmentation": _proposed(args)}
     if args.ends is not None:

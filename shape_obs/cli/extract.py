@@ -12,13 +12,14 @@ from glob import glob, has_magic
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from shape_obs.cli.lerobot import PARTS, check_lerobot, convert, prepare
 from shape_obs.cli.options import open_named, warnings_as_lines
 from shape_obs.cli.parsing import Option, parse, wrong_usage
 from shape_obs.utils.documents import parse_yaml
 from shape_obs.utils.errors import UsageError
 
 if TYPE_CHECKING:
-    from shape_obs.extraction import Outcome
+    from shape_obs.extraction import Extraction, Outcome
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,8 @@ class Arguments:
     """
 
     source: Annotated[tuple[str, ...], Option("RECORDING ...", positional=True)]
-    """Recorded folders, folders of images, .db3, .bag and video files, folders that contain these, or patterns."""
+    """Recorded folders, folders of images, rosbag2 folders, .db3, .bag, .mcap and video files, folders that contain
+    these, or patterns."""
     config: Annotated[Path, Option("FILE", "detection", existing="config file")]
     """A YAML config file."""
     out: Annotated[Path, Option("FOLDER", "output", "-o")]
@@ -47,6 +49,15 @@ class Arguments:
     """Processes of this machine, or a Ray cluster (needs the extra 'ray')."""
     address: Annotated[str | None, Option("ADDRESS", "processing")] = None
     """Address of the Ray cluster, 'auto' for the one this machine belongs to; default: start one on this machine."""
+    to: Annotated[Literal["parquet", "lerobot"], Option(group="output")] = "parquet"
+    """'lerobot' also writes a LeRobot v3 dataset for imitation learning, with the Parquet files in its folder
+    'extraction'."""
+    task: Annotated[str | None, Option("TEXT", "LeRobot")] = None
+    """What is done in the episodes, in words; default: 'move the' and the names of the shapes."""
+    videos: Annotated[bool, Option(group="LeRobot")] = False
+    """Encode the camera's images as H.264 (needs the extra 'video')."""
+    fps: Annotated[float | None, Option("HZ", "LeRobot", above=0, most=1000)] = None
+    """Frames per second; default: the median rate of the stamps."""
     json: Annotated[bool, Option(group="output")] = False
     """Print the summary as JSON."""
 
@@ -54,6 +65,7 @@ class Arguments:
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
     args = parse(Arguments, argv, "shape-obs extract")
+    check_lerobot(args)
     if args.address is not None and args.engine != "ray":
         raise UsageError("--address: only for a Ray cluster; give --engine ray too.")
     features = [_feature(text) for text in args.features]
@@ -68,7 +80,10 @@ def main(argv: Sequence[str]) -> int:
         with wrong_usage():
             config["features"] = [feature.to_dict() for feature in read_features(features)]
     tasks = all_tasks(recordings(args.source))
-    job = Extraction(config, args.out, open_named, args.extrinsics, args.frames)
+    if args.to == "lerobot":
+        prepare(args, config, tasks)
+    parts = args.out / PARTS if args.to == "lerobot" else args.out
+    job = Extraction(config, parts, open_named, args.extrinsics, args.frames)
     found: list[Outcome] = []
     with warnings_as_lines("shape-obs extract"):
         run = extract(job, tasks, engine=args.engine, jobs=args.jobs, address=args.address)
@@ -80,10 +95,11 @@ def main(argv: Sequence[str]) -> int:
                 found.append(outcome)
                 if outcome.status == "failed":
                     bar.write(f"failed: {outcome.task.source}: {outcome.reason}", file=sys.stderr)
+        written = convert(args, job, tasks) if args.to == "lerobot" else {}
         for text in sorted({text for outcome in found for text in outcome.warnings}):
             print(f"shape-obs extract: {text}", file=sys.stderr)
     found.sort(key=lambda outcome: (outcome.task.source, outcome.task.index))
-    result = _result(args, found)
+    result = {**_result(job, found), **written}
     print(json.dumps(result) if args.json else summary(result))
     return int(bool(result["failed"]))
 
@@ -106,7 +122,9 @@ def recordings(texts: Sequence[str]) -> list[str]:
                 raise ValueError(f"{text}: no such file or folder; record a camera or an environment first.")
         inside = [str(inner) for path in paths for inner in (_inside(path) if path.is_dir() else [path])]
         if not inside:
-            raise ValueError(f"{text}: found no recording there: no recorded folder, images, .db3, .bag or video file.")
+            raise ValueError(
+                f"{text}: found no recording there: no recorded folder, images, .db3, .bag, .mcap or video file."
+            )
         found += inside
     return list(dict.fromkeys(found))
 
@@ -120,10 +138,14 @@ def summary(result: dict[str, Any]) -> str:
         *(f"failed          {failure['source']}: {failure['reason']}" for failure in result["failed"]),
         f"wrote           {result['files']} files in {result['out']}",
     ]
+    if "lerobot" in result:
+        made = result["lerobot"]
+        lines.append(f"lerobot         {made['episodes']} episodes, {made['frames']} frames at {made['fps']:g} Hz")
+        lines += [f"  {name:<32} {' x '.join(map(str, shape))}" for name, shape in made["features"].items()]
     return "\n".join(lines)
 
 
-def _result(args: Arguments, found: Sequence[Outcome]) -> dict[str, Any]:
+def _result(job: Extraction, found: Sequence[Outcome]) -> dict[str, Any]:
     status, ok = Counter(outcome.status for outcome in found), Counter[str]()
     for outcome in found:
         ok.update(outcome.ok)
@@ -137,26 +159,26 @@ def _result(args: Arguments, found: Sequence[Outcome]) -> dict[str, Any]:
             {"source": outcome.task.source, "index": outcome.task.index, "reason": outcome.reason} for outcome in failed
         ],
         "files": len(found) - len(failed),
-        "out": str(args.out),
+        "out": str(job.out),
     }
 
 
 def _inside(folder: Path) -> Iterator[Path]:
     """Yield the recordings in a folder, which may itself be a recording."""
     from shape_obs.recording.format import CAMERA_FILE, FRAMES_FILE
-    from shape_obs_envs.sources import RECORDINGS
+    from shape_obs_envs.sources.opening import MCAP, RECORDINGS, ROSBAG2
     from shape_obs_envs.sources.sequence import PHOTOS
     from shape_obs_envs.sources.video import VIDEOS
 
     inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
     names, suffixes = {path.name for path in inside}, {path.suffix.lower() for path in inside if path.is_file()}
-    if names & {CAMERA_FILE, FRAMES_FILE} or suffixes & set(PHOTOS):
+    if names & {CAMERA_FILE, FRAMES_FILE, ROSBAG2} or suffixes & set(PHOTOS):
         yield folder
         return
     for path in inside:
         if path.is_dir():
             yield from _inside(path)
-        elif path.suffix.lower() in (*RECORDINGS, *VIDEOS):
+        elif path.suffix.lower() in (*RECORDINGS, MCAP, *VIDEOS):
             yield path
 
 

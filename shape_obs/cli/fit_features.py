@@ -241,7 +241,7 @@ def _read_recording(args: Arguments, source: str, hashes: dict[str, Any]) -> Gen
     name = _chosen(args.name, [spec.name for spec in detector.shapes], str(args.config))
     spec = next(spec for spec in detector.shapes if spec.name == name)
     with open_named(source, args.extrinsics, args.set) as opened:
-        if opened.kind in ("d455", "software", "env") and args.frames is None:
+        if (opened.live or opened.kind == "env") and args.frames is None:
             raise UsageError(f"{opened.name} never ends: give --frames N.")
         check_depth(opened, detector, arguments)
         length = args.frames or (len(opened) if hasattr(opened, "__len__") else None)  # pyright: ignore[reportArgumentType]

@@ -38,7 +38,7 @@ def open_named(
     """Make the source that ``--source``, ``--extrinsics`` and ``--set`` describe; it is not connected yet.
 
     Args:
-        text: ``d455[:serial]``, a file, a folder or the id of an environment.
+        text: A camera, a file, a folder, ``module:Class`` or the id of an environment; see ``open_source``.
         extrinsics: A file with the pose of the camera in the base frame.
         settings: ``KEY=VALUE`` arguments of the source's class; values are read as YAML.
         options: Further arguments of the source's class.
@@ -50,11 +50,8 @@ def open_named(
     options |= read_settings(settings)
     from shape_obs_envs.sources import open_source
 
-    try:
-        with wrong_usage():
-            return open_source(text, extrinsics=extrinsics, **options)
-    except TypeError as error:
-        raise UsageError(f"--set: {error}") from error
+    with wrong_usage():
+        return open_source(text, extrinsics=extrinsics, **options)
 
 
 def read_settings(settings: Sequence[str], option: str = "--set") -> dict[str, Any]:
@@ -124,8 +121,8 @@ class RobotArguments:
     """Options that describe a camera, a robot and the object to look for."""
 
     source: Annotated[str, Option("SOURCE", "source", check=check_source)] = "d455"
-    """Source of the images: d455, d455:SERIAL, FILE.db3, FILE.bag, a recorded folder, the id of an environment, or
-    'robot' for the robot's own camera."""
+    """Source of the images: a camera (d455[:serial], d435, webcam:0, module:Class), a recording (FILE.db3, FILE.mcap, a
+    folder, ...), the id of an environment, or 'robot' for the robot's own camera."""
     robot: Annotated[str | None, Option("MODULE:CLASS", "robot", check=check_name)] = None
     """The robot's class; shape_obs_envs.robots:SimulatedRobot needs no hardware, NullRobot moves nothing."""
     set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
@@ -188,8 +185,9 @@ def make_bare_env(args: RobotArguments, robot: Any, **options: Any) -> Any:
     width, height = args.size
     source: Any = args.source
     if source != "robot":
-        # Only a camera can be asked for an image size.
-        mode = {"width": width, "height": height} if source.split(":")[0] == "d455" else {}
+        from shape_obs_envs.sources.opening import takes_size
+
+        mode = {"width": width, "height": height} if takes_size(source) else {}
         source = open_named(source, args.extrinsics, args.set, **mode)
     return gym.make(
         "shape_obs_envs:ShapeObs/D455-v0",

@@ -3,34 +3,42 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from shape_obs.cli.options import check_source, open_named, read_settings, warnings_as_lines
 from shape_obs.cli.parsing import Option, parse
+from shape_obs.cli.rerun_option import TARGET, FrameLog, check_target, open_rerun, with_rerun_value
 from shape_obs.utils.errors import UsageError
 
 if TYPE_CHECKING:
-    from tqdm import tqdm
+    from shape_obs.recording import Moment, Recorded
+    from shape_obs.source import RGBDSource
 
-    from shape_obs.recording import Recorded
+
+#: Words for RealSense cameras, as ``open_source`` has them; it is not imported before the arguments are checked.
+_REALSENSE: Final = re.compile(r"d4\d\d(?::|$)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class Arguments:
     """Record frames from a camera, a file or an environment.
 
+    Of an environment, also actions, rewards, ends of episodes and the robot's state are recorded.
     Ctrl-C ends a recording cleanly. After an error the frames that were written are kept. The exit code is 1 if the
     source failed.
     """
 
     source: Annotated[str, Option("SOURCE", "source", check=check_source)]
-    """d455[:serial], FILE.db3, FILE.bag, a folder, a video file, or the id of an environment."""
+    """A camera (d455[:serial], d435, webcam:0, module:Class), a recording (FILE.db3, FILE.bag, FILE.mcap, a folder, a
+    video file) or the id of an environment."""
     out: Annotated[Path, Option("RECORDING", "output", "-o")]
-    """A new or empty folder, or FILE.db3 for librealsense's own format (cameras only)."""
+    """A new or empty folder, or FILE.db3 for librealsense's own format (RealSense cameras only)."""
     frames: Annotated[int | None, Option("N", "length", least=1)] = None
     """Number of frames; default: until the source ends or Ctrl-C."""
     seconds: Annotated[float | None, Option("SECONDS", "length", above=0)] = None
@@ -41,13 +49,16 @@ class Arguments:
     """'auto' records depth if the source has it, 'yes' requires it, 'no' leaves it out."""
     set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
     """Arguments of the source, such as exposure=0.01, or seed=1 actions=random for an environment."""
+    rerun: Annotated[str | None, Option(TARGET, "output", check=check_target)] = None
+    """Also log the frames to rerun: to FILE.rrd, or to the viewer with an address; without a value it opens the viewer,
+    or where there is no display writes OUT.rrd (needs the extra 'rerun')."""
     json: Annotated[bool, Option(group="output")] = False
     """Print the summary as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = parse(Arguments, argv, "shape-obs record")
+    args = parse(Arguments, with_rerun_value(argv), "shape-obs record")
     raw = args.out.suffix in (".db3", ".bag")
     if raw:
         _check_raw(args)
@@ -63,6 +74,8 @@ def main(argv: Sequence[str]) -> int:
 def summary(recorded: Recorded) -> str:
     """Return the lines that the command prints."""
     lines = [f"{recorded.path}: {recorded.frames} frames, {recorded.seconds:.2f} s"]
+    if recorded.actions:
+        lines.append(f"actions         {recorded.actions}, with rewards and ends of episodes")
     if recorded.missed:
         lines.append(
             f"missed          {recorded.missed} frames are missing from the camera's count (USB, or a busy machine)"
@@ -81,8 +94,8 @@ def _folder(args: Arguments) -> Recorded:
     source = open_named(args.source, args.extrinsics, args.set)
     limits: dict[str, Any] = {"frames": args.frames, "seconds": args.seconds, "depth": args.depth}
     try:
-        with _bar(args) as bar:
-            return record(source, args.out, **limits, on_frame=bar.update)
+        with _shown(args, source) as show:
+            return record(source, args.out, **limits, on_frame=show)
     finally:
         source.disconnect()
 
@@ -95,12 +108,12 @@ def _raw(args: Arguments) -> Recorded:
 
     source = open_named(args.source, args.extrinsics, args.set, record_to=args.out)
     recorded = Recorded(args.out)
-    with source, _bar(args) as bar:
+    with source, _shown(args, source) as show:
         try:
             for moment in read_moments(source, args.frames, args.seconds):
                 recorded.count(moment.frame)
                 recorded.frames += 1
-                bar.update()
+                show(moment)
         except KeyboardInterrupt:
             recorded.stopped = "interrupted"
         except SourceError as error:
@@ -114,13 +127,37 @@ def _check_raw(args: Arguments) -> None:
     """Reject what cannot be recorded in librealsense's own format."""
     if args.depth == "no":
         raise UsageError(f"{args.out}: librealsense's own format always contains depth; use a folder with --depth no.")
-    if not args.source.lower().startswith("d455"):
+    if not _REALSENSE.match(args.source):
         raise UsageError(
-            f"{args.out}: only a camera (d455) can be recorded to {args.out.suffix}; give a folder for {args.source}."
+            f"{args.out}: only a RealSense camera can be recorded to {args.out.suffix}; give a folder for "
+            f"{args.source}."
         )
 
 
-def _bar(args: Arguments) -> tqdm:
+@contextmanager
+def _shown(args: Arguments, source: RGBDSource) -> Iterator[Callable[[Moment], None]]:
+    """Yield a function that shows a frame: in the progress bar, and with ``--rerun`` in rerun.
+
+    Frames of a live source are logged in a thread, the newest one first, so that none is missed.
+    """
     from tqdm import tqdm
 
-    return tqdm(total=args.frames, unit="frame", leave=False, desc="recording")
+    from shape_obs.utils.newest import Newest
+
+    with ExitStack() as stack:
+        bar = stack.enter_context(tqdm(total=args.frames, unit="frame", leave=False, desc="recording"))
+        log: Callable[[Moment], object] | None = None
+        if args.rerun is not None:
+            stream = stack.enter_context(open_rerun(args.rerun, args.out, "shape-obs record"))
+            log = FrameLog(stream).add
+            if source.live:
+                thread: Newest[Moment] = Newest(log, "rerun")
+                stack.callback(thread.close)
+                log = thread.put
+
+        def show(moment: Moment) -> None:
+            bar.update()
+            if log is not None:
+                log(moment)
+
+        yield show

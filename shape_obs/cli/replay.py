@@ -13,9 +13,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from shape_obs.cli.options import check_source, open_named, read_settings, warnings_as_lines
 from shape_obs.cli.parsing import Option, parse
+from shape_obs.cli.rerun_option import TARGET, FrameLog, check_target, open_rerun, with_rerun_value, working_file
 from shape_obs.utils.errors import UsageError
 
 if TYPE_CHECKING:
+    from shape_obs.detector import ShapeDetector
+    from shape_obs.drawing.rerun_stream import RerunStream
     from shape_obs.source import RGBDSource
 
 
@@ -27,7 +30,8 @@ class Arguments:
     """
 
     recording: Annotated[str, Option("RECORDING", positional=True, check=check_source)]
-    """A folder, FILE.db3, FILE.bag or a video file; or, with --frames, d455[:serial] or the id of an environment."""
+    """A folder, FILE.db3, FILE.bag, FILE.mcap or a video file; or, with --frames, a camera (d455[:serial], webcam:0,
+    module:Class) or the id of an environment."""
     config: Annotated[Path | None, Option("FILE", "detection", existing="config file")] = None
     """A YAML config file; needed unless --verify is given."""
     csv: Annotated[Path | None, Option("FILE", "output")] = None
@@ -37,7 +41,10 @@ class Arguments:
     parquet: Annotated[Path | None, Option("FILE", "output")] = None
     """Write the shapes as a Parquet table (needs the extra 'parquet')."""
     video: Annotated[Path | None, Option("FILE", "output")] = None
-    """Write the frames with the shapes drawn over them: .mp4 or .avi."""
+    """Write the frames with the shapes drawn over them: .mp4 (H.264 with the extra 'video'), .avi or .gif."""
+    rerun: Annotated[str | None, Option(TARGET, "output", check=check_target)] = None
+    """Log frames, shapes and features to rerun: to FILE.rrd, or to the viewer with an address; without a value it opens
+    the viewer, or where there is no display writes a file next to the first output (needs the extra 'rerun')."""
     frames: Annotated[int | None, Option("N", "source", least=1)] = None
     """Largest number of frames."""
     extrinsics: Annotated[Path | None, Option("FILE", "source", existing="file of extrinsics")] = None
@@ -52,7 +59,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
-    args = parse(Arguments, argv, "shape-obs replay")
+    args = parse(Arguments, with_rerun_value(argv), "shape-obs replay")
     if args.config is None and not args.verify:
         raise UsageError("give --config FILE to detect with, or --verify to check the recording.")
     tables = _tables(args)
@@ -63,7 +70,7 @@ def main(argv: Sequence[str]) -> int:
         check_table_path(path)
     arguments = None if args.config is None else load_config(args.config)
     with warnings_as_lines("shape-obs replay"), open_named(args.recording, args.extrinsics, args.set) as source:
-        if source.kind in ("d455", "software", "env") and args.frames is None:
+        if (source.live or source.kind == "env") and args.frames is None:
             raise UsageError(f"{source.name} never ends: give --frames N.")
         result: dict[str, Any] = {"source": source.name}
         if args.verify:
@@ -127,17 +134,15 @@ def _replay(args: Arguments, arguments: dict[str, Any], source: RGBDSource, tabl
     import numpy as np
     from tqdm import tqdm
 
-    from shape_obs.config.config_file import detector_arguments
-    from shape_obs.detector import ShapeDetector
     from shape_obs.recording import OverlayVideo, ShapeLog, replay
-    from shape_obs.recording.replay import check_depth
 
-    detector = ShapeDetector(**_lenient(detector_arguments(arguments)))
-    check_depth(source, detector, arguments)
+    detector = make_detector(arguments, source)
     log = ShapeLog(detector, arguments, source)
     times = []
     with ExitStack() as stack:
         video = None if args.video is None else stack.enter_context(OverlayVideo(args.video))
+        stream = None if args.rerun is None else stack.enter_context(_stream(args, tables))
+        shown = None if stream is None else FrameLog(stream, detector, arguments)
         length = args.frames or (len(source) if hasattr(source, "__len__") else None)  # pyright: ignore[reportArgumentType]
         for moment, detection in tqdm(
             replay(source, detector, args.frames), total=length, unit="frame", leave=False, desc="replaying"
@@ -146,14 +151,37 @@ def _replay(args: Arguments, arguments: dict[str, Any], source: RGBDSource, tabl
             times.append(detection.timings["total"])
             if video is not None:
                 video.add(moment, detection)
+            if shown is not None:
+                shown.add(moment, detection)
     table = log.table()
     for path in tables:
         table.save(path)
-    files = [str(path) for path in (*tables, args.video) if path is not None]
+    files = [str(path) for path in (*tables, args.video, stream and stream.path) if path is not None]
     shapes = {spec.name: _summary_of(table, spec.name) for spec in detector.shapes}
     ms = {"median": round(float(np.median(times)), 3), "p95": round(float(np.percentile(times, 95)), 3)}
     hashes = {name: log.metadata[name] for name in ("schema_hash", "config_hash")}
     return {"frames": len(table), "shapes": shapes, "ms": ms, "files": files, **hashes}
+
+
+def make_detector(arguments: dict[str, Any], source: RGBDSource) -> ShapeDetector:
+    """Make the detector of a config that goes on after a lost shape, and check that the source has what it needs.
+
+    Raises:
+        ValueError: The config needs depth or intrinsics, which the source lacks.
+    """
+    from shape_obs.config.config_file import detector_arguments
+    from shape_obs.detector import ShapeDetector
+    from shape_obs.recording.replay import check_depth
+
+    detector = ShapeDetector(**_lenient(detector_arguments(arguments)))
+    check_depth(source, detector, arguments)
+    return detector
+
+
+def _stream(args: Arguments, tables: list[Path]) -> RerunStream:
+    """Open the stream of ``--rerun``; a file is written next to the first output, else into the working folder."""
+    outputs = [path.with_suffix("") for path in (*tables, args.video) if path is not None]
+    return open_rerun(args.rerun or "", (*outputs, working_file(args.recording))[0], "shape-obs replay")
 
 
 def _lenient(arguments: dict[str, Any]) -> dict[str, Any]:

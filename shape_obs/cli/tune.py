@@ -26,8 +26,8 @@ class Arguments:
     """
 
     source: Annotated[str, Option("SOURCE", positional=True, check=check_source)]
-    """A photo, a video, a folder of photos, a recording, d455[:serial], FILE.db3, FILE.bag, or the id of an
-    environment."""
+    """A photo, a video, a folder of photos, a recording, d455[:serial], webcam:0, module:Class, FILE.db3, FILE.bag,
+    FILE.mcap, or the id of an environment."""
     config: Annotated[Path | None, Option("FILE", "settings", existing="config file")] = None
     """A YAML config file to start with."""
     save: Annotated[Path | None, Option("FILE", "settings")] = None

@@ -11,11 +11,13 @@ import json
 import os
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from shape_obs.config.detector_config import NO_BACKEND, DetectorConfig
 from shape_obs.spec import SpecError, did_you_mean, to_plain
+from shape_obs.utils.documents import is_of_script
 
 if TYPE_CHECKING:
     from shape_obs.configurations.base import Configuration
@@ -77,6 +79,9 @@ def save_config(path: str | os.PathLike[str], arguments: Mapping[str, Any]) -> N
     Args:
         path: Where to.
         arguments: Arguments of ``ShapeDetector`` or ``ShapeObservation``, as specs or plain values.
+
+    Raises:
+        SpecError: A segmentation is a function that another program cannot import.
     """
     from shape_obs.utils.files import write_text
 
@@ -87,6 +92,13 @@ def dump_config(arguments: Mapping[str, Any]) -> str:
     """Return what ``save_config`` writes: YAML of three sections, defaults filled in."""
     import yaml
 
+    for path in DetectorConfig.from_dict(detector_arguments(arguments)).code_paths:
+        if is_of_script(path):
+            raise SpecError(
+                f"segmentation: {path} cannot be saved, since no other program can import it from the script or "
+                "notebook in which it is defined. Move the function to a module, and give it, or its path "
+                "'module:function'."
+            )
     return yaml.safe_dump(_sections(arguments), sort_keys=False)
 
 
@@ -116,6 +128,7 @@ def hashed_values(arguments: Mapping[str, Any]) -> dict[str, Any]:
 
 def _hashed_shape(shape: Configuration) -> dict[str, Any]:
     """Return the values of a shape that are hashed; one without a count has the hash that it had before counts."""
+    shape = replace(shape, segmentation=None)  # which may be a function that has no JSON values
     values = {name: value for name, value in shape.to_dict().items() if name not in SCENE_FIELDS}
     return values if shape.count is not None else {name: value for name, value in values.items() if name != "count"}
 

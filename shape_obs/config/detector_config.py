@@ -34,7 +34,8 @@ class DetectorConfig(Spec):
 
     Args:
         shapes: The configurations to find, all in one pass.
-        segmentation: The pixel rule; None when masks are given, or every shape has its own.
+        segmentation: The pixel rule, or a function ``(rgb, depth) -> mask``, see ``MaskFunction``; None when masks are
+            given, or every shape has its own.
         roi: Where to look.
         order: ``"tracked"`` keeps point 0 on its material point; ``"image"`` numbers each frame again.
         ends: Default for shapes with ends or a border: ``"centers"`` or ``"tips"``.
@@ -109,6 +110,12 @@ class DetectorConfig(Spec):
             open_ones = {name: value for name, value in defaults.items() if getattr(shape, name, value) is None}
             filled.append(replace(shape, **open_ones))
         return tuple(filled)
+
+    @property
+    def code_paths(self) -> tuple[str, ...]:
+        """The import paths ``"module:function"`` of the user's code that the arguments name."""
+        rules = [self.segmentation, *(shape.segmentation for shape in self.shapes)]
+        return tuple(path for rule in rules if rule is not None and (path := rule.code_path))
 
     def resolved(self) -> tuple[Configuration, ...]:
         """Return a configuration for each shape to find, the detector's defaults filled in: one for each slot."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from shape_obs.deploy.controller import check_controller, checked_action
 from shape_obs.deploy.run_log import Report, RunLog, Tally
+from shape_obs.deploy.run_recorder import RunRecorder
 from shape_obs.deploy.safety import Gate, Judgement, Limits, Watchdog
 from shape_obs.deploy.supervision import Interrupted, SignalStop, supervised
 from shape_obs.frame import Frame
@@ -49,6 +50,7 @@ def deploy(
     seconds: float | None = None,
     until_reached: int = 0,
     log: RunLog | None = None,
+    record: RunRecorder | None = None,
     on_step: OnStep | None = None,
     park: bool = True,
     close: bool = True,
@@ -67,6 +69,8 @@ def deploy(
         seconds: Largest duration; None for no limit.
         until_reached: Number of consecutive frames with the goal reached after which the run ends; 0 to continue.
         log: Log of steps and report, which a thread writes.
+        record: Recording of frames, actions, rewards and states, which threads write; the run is one episode of it. The
+            caller closes it.
         on_step: Called after each step.
         park: Whether to send the robot to its safe pose at the end.
         close: Whether to disconnect camera and robot at the end.
@@ -77,7 +81,7 @@ def deploy(
             environment has no robot or no ``ShapeObservation``.
         SourceError: The camera was not available at the start.
         RobotError: The robot was not available at the start, or cannot stop or park.
-        OSError: The log cannot be written.
+        OSError: The log or the recording cannot be written.
     """
     robot_env: Any = env.unwrapped
     if getattr(robot_env, "robot", None) is None:
@@ -89,7 +93,7 @@ def deploy(
     run: _Run | None = None
     try:
         with log or nullcontext(), supervised(env, park=park, close=close) as signals:
-            run = _Run(env, controller, limits or Limits(), log, on_step, signals)
+            run = _Run(env, controller, limits or Limits(), log, record, on_step, signals)
             return run.go(steps, seconds, until_reached)
     except Interrupted as interrupted:
         interrupted.report = None if run is None else run.report
@@ -105,10 +109,12 @@ class _Run:
         controller: Any,
         limits: Limits,
         log: RunLog | None,
+        record: RunRecorder | None,
         on_step: OnStep | None,
         signals: SignalStop,
     ) -> None:
-        self._env, self._controller, self._log, self._on_step = env, controller, log, on_step
+        self._env, self._controller, self._on_step = env, controller, on_step
+        self._log, self._record = log, record
         self._robot_env: Any = env.unwrapped
         self._robot_env.max_age = limits.max_age
         dt = self._robot_env.rate.dt
@@ -156,12 +162,17 @@ class _Run:
                 )
                 if self._log is not None:
                     self._log.report(self.report.to_dict())
+        if self._record is not None and self._robot_env.frame is not None:  # the frame after the last step
+            self._record.frame(self._robot_env.frame, self._robot_env.robot.state())
+            self._record.write()
         return self.report
 
     def _loop(self, steps: int | None, seconds: float | None, until_reached: int) -> tuple[str, bool]:
         """Step until the run ends; return the reason, and whether it is an error."""
         observation, self._info = self._env.reset()
         self._begin, reached = time.monotonic(), 0
+        if self._record is not None:
+            self._record.begin(self._robot_env)
         interlock, limits = self._robot_env.interlock, self._limits
         with Watchdog(lambda: interlock.trip("watchdog"), limits.watchdog) as watchdog:
             while True:
@@ -191,16 +202,20 @@ class _Run:
         frame, seen_at, begin = robot_env.frame, robot_env.seen_at, time.monotonic()
         detection: Detection = self._env.get_wrapper_attr("detection")
         source, state = sum(getattr(robot_env.source, "timings", {}).values()), robot_env.robot.state()
+        if self._record is not None:
+            self._record.frame(frame, state)
         action = None
         if judgement.move == "act":
             action = checked_action(self._controller.act(observation), self._spec, self._controller)
         acted = time.monotonic()
-        following, _, terminated, truncated, self._info = self._env.step(action)
+        following, reward, terminated, truncated, self._info = self._env.step(action)
         if robot_env.withheld:  # the image became too old before the motion was sent
             action, judgement = None, Judgement("hold", robot_env.withheld, f"not sent: {robot_env.withheld}")
             withheld = getattr(self._controller, "withheld", None)
             if callable(withheld):
                 withheld()
+        if self._record is not None:
+            self._record.step(action, reward, terminated, truncated)
         if action is None:
             tally.held += 1
             tally.reasons[judgement.cause] += 1

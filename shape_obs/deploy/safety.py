@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from shape_obs.robot import ActionSpec, Anchors, Array, Robot, robot_anchors, robot_name
+from shape_obs.robot import ActionSpec, Anchors, Array, Robot, measured, robot_anchors, robot_name
 from shape_obs.spec import Spec, SpecError
 
 if TYPE_CHECKING:
@@ -181,6 +181,11 @@ class DryRobot:
     def anchors(self) -> Anchors:
         """Anchors of the robot."""
         return robot_anchors(self._robot)
+
+    @property
+    def measured(self) -> Mapping[str, float]:
+        """Measurements of the robot."""
+        return measured(self._robot)
 
     @property
     def shape_obs_defaults(self) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 import sys
-import threading
 from contextlib import redirect_stdout
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from shape_obs.deploy.loop import Step
 from shape_obs.drawing import draw_detection
+from shape_obs.utils.newest import Newest
 
 GOAL = (235, 130, 40)
 
@@ -45,35 +45,17 @@ class LiveView:
         self.url = f"http://localhost:{self._server.get_port()}"
         self._text = self._server.gui.add_markdown("waiting for a frame")
         self._image = self._server.gui.add_image(np.zeros((48, 64, 3), np.uint8), format="jpeg")
-        self._newest: Step | None = None
-        self._wake, self._over = threading.Condition(), False
-        self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
-        self._thread.start()
+        self._newest: Newest[Step] = Newest(self._draw, "live view")
 
     def show(self, step: Step) -> None:
         """Draw a step next, in place of one that has not been drawn yet."""
-        with self._wake:
-            self._newest = step
-            self._wake.notify()
+        self._newest.put(step)
 
     def close(self) -> None:
         """Close the page."""
-        with self._wake:
-            self._over = True
-            self._wake.notify()
-        self._thread.join(2.0)
+        self._newest.close()
         with redirect_stdout(sys.stderr):
             self._server.stop()
-
-    def _run(self) -> None:
-        while True:
-            with self._wake:
-                self._wake.wait_for(lambda: self._over or self._newest is not None)
-                if self._over:
-                    return
-                newest, self._newest = self._newest, None
-            if newest is not None:
-                self._draw(newest)
 
     def _draw(self, step: Step) -> None:
         judgement, frame = step.judgement, step.frame

@@ -21,12 +21,15 @@ from shape_obs.extraction.task import Outcome, Task
 from shape_obs.features import Block, Feature, FeatureContext, FeatureVector, read_features
 from shape_obs.recording import Moment, ShapeLog, ShapeTable, replay
 from shape_obs.recording.replay import check_depth
+from shape_obs.recording.step_columns import step_columns
 from shape_obs.recording.table import Column
 from shape_obs.shape import Detection
 from shape_obs.source import RGBDSource
 from shape_obs.utils.threads import one_thread
 
 _POINT_AXES: Final = {"points2d": 2, "points3d": 3}
+#: Version of the columns; datasets with another one are not continued.
+_LAYOUT: Final = 2
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,7 @@ class Extraction:
         return {
             "shape_obs": __version__,
             "algorithm": ALGORITHM,
+            "layout": _LAYOUT,
             "config_hash": config_hash(self.config),
             "schema_hash": schema_hash(self.config),
             "extrinsics": pose,
@@ -140,10 +144,13 @@ def _table(job: Extraction, made: Mapping[str, Any], task: Task) -> ShapeTable:
 
 def _complete(columns: Mapping[str, Column], sizes: Mapping[str, int]) -> dict[str, Column]:
     """Return the columns that every part has, even if its recording lacks some; without receive times."""
+    count = len(columns["frame"])
     found = {name: column for name, column in columns.items() if name != "received"}
+    for name, column in step_columns(count * [0], count * [None], count * [None]).items():
+        found.setdefault(name, column)
     for name, size in sizes.items():
         for kind, axes in _POINT_AXES.items():
-            found.setdefault(f"{name}/{kind}", np.full((len(columns["frame"]), size, axes), np.nan, np.float32))
+            found.setdefault(f"{name}/{kind}", np.full((count, size, axes), np.nan, np.float32))
     first = [name for name in found if "/" not in name]
     return {name: found[name] for name in [*first, *sorted(set(found) - set(first))]}
 
@@ -167,8 +174,8 @@ class FeatureLog:
         self._values: list[Column] = []
         self._measured: list[Column] = []
 
-    def add(self, moment: Moment, detection: Detection) -> None:
-        """Add the features of a frame.
+    def add(self, moment: Moment, detection: Detection) -> dict[str, dict[str, float]]:
+        """Add the features of a frame, and return them by feature and component, see ``FeatureVector.named``.
 
         Raises:
             ValueError: A feature needs something that the frame lacks, such as depth or extrinsics.
@@ -177,7 +184,7 @@ class FeatureLog:
         from shape_obs.wrappers.env_protocol import base_point
 
         if not self._features:
-            return
+            return {}
         height, width = moment.frame.size or (1, 1)
         context = FeatureContext(
             width, height, moment.frame.camera, self._workspace, self._max_age, anchors=moment.anchors
@@ -187,6 +194,7 @@ class FeatureLog:
         contexts = [replace(context, anchor=base_point(shape, moment.anchors)) for shape in self._shapes]
         self._values.append(self._vector.compute(detection.shapes, contexts))
         self._measured.append(self._vector.measured(detection.shapes))
+        return self._vector.named(self._values[-1])
 
     def columns(self) -> dict[str, Column]:
         """Return ``<shape>/features/<kind>`` ``(F, D)`` float32 and, for each, ``.../measured`` ``(F, D)`` bool."""

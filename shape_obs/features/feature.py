@@ -13,11 +13,14 @@ import numpy.typing as npt
 
 from shape_obs.camera import CameraModel
 from shape_obs.configurations.base import Configuration
+from shape_obs.features.feature_check import check_bounds, check_values
 from shape_obs.geometry.topology import Topology
+from shape_obs.image.segmentation import DepthRange
 from shape_obs.shape import Shape
 from shape_obs.spec import Spec
 
 Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 
 #: Share of its range by which a value may exceed its bounds without a warning: noise does, a wrong workspace is larger.
 _NOISE_MARGIN: Final = 0.02
@@ -92,6 +95,10 @@ class Feature(Spec, family="feature"):
         """Return the unit of each of the D values."""
         return len(self.bounds(layout, context)[0]) * (self.unit,)
 
+    def components(self, size: int) -> tuple[str, ...]:
+        """Return the names of the D = ``size`` values; an only value has an empty name."""
+        return tuple(str(i) for i in range(size)) if size > 1 else ("",)
+
     def reconstruct(self, values: npt.ArrayLike, layout: Topology, context: FeatureContext) -> Array:
         """Return the points that the values describe, of shape (N, 2) or (N, 3), in the feature's frame and unit.
 
@@ -113,6 +120,16 @@ def read_features(
     return [Feature.from_dict(item) for item in ([value] if alone else value)]  # type: ignore[list-item]
 
 
+def what_needs_depth(shapes: Iterable[Configuration], features: Iterable[Feature]) -> list[str]:
+    """Return everything in a configuration that needs depth, in words for an error message."""
+    needs = [f"feature {feature.kind!r}" for feature in features if feature.needs_depth]
+    for spec in shapes:
+        needs += [f"lift='cloud' of shape {spec.name!r}"] if spec.lift == "cloud" else []
+        needs += [f"spacing='m' of shape {spec.name!r}"] if spec.spacing == "m" else []
+        needs += [f"segmentation 'depth' of shape {spec.name!r}"] if isinstance(spec.segmentation, DepthRange) else []
+    return needs
+
+
 class Block(NamedTuple):
     """The position of one feature of one shape in the vector.
 
@@ -127,6 +144,11 @@ class Block(NamedTuple):
     feature: Feature
     place: slice
     units: tuple[str, ...]
+
+
+def _place(shape: str, feature: Feature) -> str:
+    """Return what error messages call a feature of a shape."""
+    return f"feature {feature.kind or type(feature).__name__!r} of shape {shape!r}"
 
 
 class FeatureVector:
@@ -144,14 +166,17 @@ class FeatureVector:
         anchored: Whether any value changes when only the anchors move.
 
     Raises:
-        ValueError: A feature is not defined for a shape, or its bounds are not finite or empty.
+        TypeError: The bounds of a feature are no arrays of numbers.
+        ValueError: A feature is not defined for a shape, or its bounds are empty or not finite.
     """
 
     def __init__(self, features: Sequence[Feature], shapes: Sequence[Configuration], context: FeatureContext) -> None:
         self.features = tuple(features)
         self.anchored = any(feature.anchored for feature in self.features)
         pairs = [(shape, feature) for shape in shapes for feature in self.features]
-        bounds = [feature.bounds(shape.layout, context) for shape, feature in pairs]
+        bounds = [
+            check_bounds(feature.bounds(shape.layout, context), _place(shape.name, feature)) for shape, feature in pairs
+        ]
         ends = np.cumsum([len(low) for low, _ in bounds]).tolist()
         self.blocks = tuple(
             Block(shape.name, feature, slice(end - len(low), end), feature.units(shape.layout, context))
@@ -159,8 +184,9 @@ class FeatureVector:
         )
         self.low = np.concatenate([low for low, _ in bounds]).astype(np.float32)
         self.high = np.concatenate([high for _, high in bounds]).astype(np.float32)
-        if not np.all(self.low < self.high) or not np.all(np.isfinite([self.low, self.high])):
-            raise ValueError(f"features: bounds must be finite and low < high, got {self.low} and {self.high}.")
+        for block in self.blocks:  # numbers that are equal or infinite in single precision
+            check_bounds((self.low[block.place], self.high[block.place]), _place(block.shape, block.feature))
+        self._sizes = [len(low) for low, _ in bounds]
         self._centre = self.low + (self.high - self.low) / 2
         self._margin, self._warned = _NOISE_MARGIN * (self.high - self.low), False
 
@@ -168,31 +194,71 @@ class FeatureVector:
         """Return the vector, of shape ``(D,)``, float32.
 
         Unknown values are set to the centre of their bounds, the others are clipped to their bounds. Warns once if
-        values lie far outside their bounds.
+        values lie far outside their bounds, or are NaN though all points of the shape are known.
 
         Args:
             shapes: The detected shapes, in the order of the configurations.
             contexts: The context of each shape.
+
+        Raises:
+            TypeError: A feature returned no array of numbers.
+            ValueError: A feature returned another number of values than it has bounds.
         """
-        computed = []
+        computed, sizes = [], iter(self._sizes)
         for shape, context in zip(shapes, contexts, strict=True):
             for feature in self.features:
-                computed.append(feature.compute(shape, context))  # noqa: PERF401 - a comprehension is one more call
+                values, size = feature.compute(shape, context), next(sizes)
+                if type(values) is not np.ndarray or values.dtype.kind != "f" or values.shape != (size,):
+                    check_values(values, size, _place(shape.name, feature))
+                computed.append(values)
         values = np.concatenate(computed, dtype=np.float32)
         clipped = np.minimum(np.maximum(values, self.low), self.high)
         if np.count_nonzero(clipped == values) == len(values):  # all are known, and within their bounds
             return clipped
-        values = np.where(np.isfinite(values), values, self._centre)
-        clipped = np.minimum(np.maximum(values, self.low), self.high)
-        if not self._warned and (np.abs(clipped - values) > self._margin).any():
-            self._warned = True
-            warnings.warn(
-                f"features: {np.count_nonzero(clipped != values)} of {len(values)} values lie outside their bounds "
-                "and are clipped. For points in metres set workspace=, or max_depth= of the feature, to the size of "
-                "the scene. This warning is shown once.",
-                stacklevel=2,
-            )
+        known = np.isfinite(values)
+        filled = np.where(known, values, self._centre)
+        clipped = np.minimum(np.maximum(filled, self.low), self.high)
+        if not self._warned:
+            self._warn(shapes, values, np.abs(clipped - filled) > self._margin, ~known)
         return clipped
+
+    def _warn(self, shapes: Sequence[Shape], values: npt.NDArray[np.float32], outside: Flags, unknown: Flags) -> None:
+        """Warn once of the first values that no feature should return, and name the feature."""
+        sound = {shape.name for shape in shapes if shape.ok and shape.valid.all()}
+        for block in self.blocks:
+            wrong = outside[block.place] | (unknown[block.place] & (block.shape in sound))
+            for k in np.flatnonzero(wrong)[:1].tolist():
+                self._warned, at, where = True, block.place.start + k, _place(block.shape, block.feature)
+                if unknown[at]:
+                    problem = (
+                        f"{where}: value {k} is {values[at]:g} though all points of the shape are known, and is "
+                        "replaced by the middle of its bounds."
+                    )
+                else:
+                    problem = (
+                        f"features: {np.count_nonzero(outside)} of {len(values)} values lie outside their bounds and "
+                        f"are clipped, first value {k} of {where}: {values[at]:g}, bounds {self.low[at]:g} ... "
+                        f"{self.high[at]:g}. For points in metres set workspace=, or max_depth= of the feature, to the "
+                        "size of the scene."
+                    )
+                warnings.warn(f"{problem} This warning is shown once.", stacklevel=3)
+                return
+
+    def named(self, values: npt.ArrayLike) -> dict[str, dict[str, float]]:
+        """Return values by feature and component: ``{"rope/points3d": {"x0": 0.1, ...}}``.
+
+        Args:
+            values: ``(D,)`` as ``compute`` returns them. Further features of a kind are numbered: ``"rope/pca_2"``.
+        """
+        found: dict[str, dict[str, float]] = {}
+        array = np.asarray(values, np.float64)
+        for block in self.blocks:
+            stem = f"{block.shape}/{block.feature.kind}"
+            count = sum(name.rpartition("_")[0] == stem or name == stem for name in found)
+            names = block.feature.components(len(block.units))
+            part = dict(zip(names, array[block.place].tolist(), strict=True))
+            found[f"{stem}_{count + 1}" if count else stem] = part
+        return found
 
     def measured(self, shapes: Sequence[Shape]) -> npt.NDArray[np.bool_]:
         """Return which values were measured in this frame and not filled in, of shape ``(D,)``."""

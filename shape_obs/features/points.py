@@ -35,6 +35,11 @@ class _Points(Positional):
         """Return which coordinates were measured: those of visible points in the image, of valid points in space."""
         return np.repeat(shape.visible if self.coordinates.planar else shape.valid, size // len(shape))
 
+    def components(self, size: int) -> tuple[str, ...]:
+        """Return ``("u0", "v0", "u1", ...)`` in the image, ``("x0", "y0", "z0", ...)`` in space."""
+        axes = "uv" if self.coordinates.planar else "xyz"
+        return tuple(f"{axes[i % len(axes)]}{i // len(axes)}" for i in range(size))
+
     def reconstruct(self, values: npt.ArrayLike, layout: Topology, context: FeatureContext) -> Array:
         """Return exactly the points, of shape ``(N, 2)`` or ``(N, 3)``."""
         return np.asarray(values, dtype=np.float64).reshape(layout.size, -1)

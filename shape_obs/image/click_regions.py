@@ -119,7 +119,7 @@ def border_changes(
 
     Args:
         photo: The photo.
-        mask: With at least one pixel.
+        mask: ``(H, W)`` bool.
         inside: Where to look within the mask, pixels from its outermost pixels along the outward normal.
         outside: The same for the other side.
         smooth: Whether to look at the smoothed photo.
@@ -127,6 +127,8 @@ def border_changes(
     Returns:
         ``(K,)`` distances in Lab; a single 0 where the mask has hardly a border.
     """
+    if not mask.any():
+        return np.zeros(1, np.float32)
     window = box(mask, 4)
     part = np.ascontiguousarray(mask[window]).view(np.uint8)
     lab = np.ascontiguousarray((photo.smooth if smooth else photo.lab)[window])
@@ -138,11 +140,12 @@ def border_changes(
         some = photo.rng.choice(len(rows), _BORDER, replace=False)
         rows, columns = rows[some], columns[some]
     soft = cv2.GaussianBlur(part.astype(np.float32), (0, 0), 1.2)
-    gradient = [np.asarray(cv2.Sobel(soft, cv2.CV_32F, *axis))[rows, columns] for axis in ((1, 0), (0, 1))]
-    normal = -np.stack(gradient) / np.maximum(np.hypot(*gradient), 1e-9)
+    across = np.asarray(cv2.Sobel(soft, cv2.CV_32F, 1, 0), np.float32)[rows, columns]
+    down = np.asarray(cv2.Sobel(soft, cv2.CV_32F, 0, 1), np.float32)[rows, columns]
+    normal = -np.stack([across, down]) / np.maximum(np.hypot(across, down), 1e-9)
 
     def at(distance: float) -> npt.NDArray[np.float32]:
-        u, v = (np.float32([columns, rows]) + np.float32(distance) * normal).astype(np.float32)
+        u, v = (np.stack([columns, rows]) + distance * normal).astype(np.float32)
         looked_up = cv2.remap(lab, u[None], v[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(looked_up, np.float32)[0]
 

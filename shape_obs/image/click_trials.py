@@ -14,6 +14,7 @@ from typing import Final
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from shape_obs.image.click_regions import (
     Mask,
@@ -51,7 +52,7 @@ class Trial:
     """
 
     rule: ClickedColours
-    odds: np.ndarray
+    odds: npt.NDArray[np.float64]
     found: Mask
     clicked: Mask
     score: float
@@ -146,15 +147,15 @@ def _mixture(photo: Photo, masks: list[Mask], samples: int, count: int) -> tuple
     return fit_colours(np.concatenate([photo.sample(mask, samples // len(masks)) for mask in masks]), count)
 
 
-def masked(photo: Photo, odds: np.ndarray, rule: ClickedColours) -> Mask:
+def masked(photo: Photo, odds: npt.NDArray[np.float64], rule: ClickedColours) -> Mask:
     """Return what a rule finds in the photo, with its clean-up."""
     return rule.clean((odds > rule.strictness)[photo.cells[1]].astype(np.uint8)).view(np.bool_)
 
 
 def pieces(mask: Mask, rule: ClickedColours, picks: list[Pixel]) -> tuple[Mask, Mask]:
     """Return the plausible pieces of a mask, as a detector keeps them, and the pieces at clicks."""
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=8)
-    areas = stats[:, cv2.CC_STAT_AREA].copy()
+    count, labels, sizes = _components(mask)
+    areas = sizes.copy()
     areas[0] = 0
     keep = (areas >= rule.min_area) & (areas >= rule.min_share * areas.max()) & (areas > 0)
     at = np.zeros(count, np.bool_)
@@ -185,7 +186,7 @@ def _unlike(found: Mask, clicked: Mask) -> float:
 
     Such are the borders of other things, where colours mix, and large things of the object's colour.
     """
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(found.view(np.uint8), connectivity=8)
+    count, labels, sizes = _components(found)
     depth = np.asarray(cv2.distanceTransform(found.view(np.uint8), cv2.DIST_L2, 3))
     deepest = np.zeros(count)
     np.maximum.at(deepest, labels[found], depth[found])
@@ -196,4 +197,10 @@ def _unlike(found: Mask, clicked: Mask) -> float:
     unlike = (deepest < 0.55 * width - 0.3) | (deepest > 1.8 * width + 0.5)
     unlike[0] = False
     unlike[own] = False
-    return float(stats[unlike, cv2.CC_STAT_AREA].sum() / max(np.count_nonzero(found), 1))
+    return float(sizes[unlike].sum() / max(np.count_nonzero(found), 1))
+
+
+def _components(mask: Mask) -> tuple[int, npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """Return the number of labels, the label of each pixel, 0 outside the mask, and the pixels of each label."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=8)
+    return count, np.asarray(labels, np.int32), np.asarray(stats, np.int32)[:, cv2.CC_STAT_AREA]

@@ -23,7 +23,9 @@ Array = npt.NDArray[np.float64]
 #: Width of the cells of 8-bit Lab in which all colours count as one.
 CELL: Final = 2
 _CELLS: Final = 256 // CELL
-_LIGHTNESS: Final = 100 / 255  # of 8-bit Lab in OpenCV
+# Of 8-bit Lab in OpenCV.
+_ZERO: Final = np.array([0.0, 128.0, 128.0])
+_SCALE: Final = np.array([100 / 255, 1.0, 1.0])
 _UNKNOWN: Final = 0.02  # weight of colours that are like nothing in the photo
 _GAMUT: Final = 100 * 150 * 150.0  # size of the space of colours in Lab
 _REACH: Final = 6.0  # standard deviations; farther colours are not the object's
@@ -112,7 +114,8 @@ def fit_colours(colours: Array, count: int) -> tuple[ColourGaussian, ...]:
         warnings.simplefilter("ignore", ConvergenceWarning)  # nearly there is good enough
         mixture.fit(colours)
     upper = np.triu_indices(3)
-    parts = zip(mixture.weights_, mixture.means_, mixture.covariances_, strict=True)
+    fitted: Any = mixture
+    parts = zip(fitted.weights_, fitted.means_, fitted.covariances_, strict=True)
     return tuple(
         ColourGaussian(max(round(float(w), 4), 1e-4), *(tuple(np.round(x, 2).tolist()) for x in (m, c[upper])))
         for w, m, c in parts
@@ -127,14 +130,14 @@ def cells_of(rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.int32]:
 
 def colours_of(cells: npt.NDArray[np.integer[Any]]) -> Array:
     """Return the Lab colour in the middle of cells: ``(K,)`` -> ``(K, 3)``."""
-    lab = np.stack([cells // _CELLS**2, cells // _CELLS % _CELLS, cells % _CELLS], axis=1) * float(CELL)
-    return (lab + (CELL - 1) / 2 - (0, 128, 128)) * (_LIGHTNESS, 1, 1)
+    lab = np.stack([cells // _CELLS**2, cells // _CELLS % _CELLS, cells % _CELLS], axis=1).astype(np.float64)
+    return (lab * CELL + (CELL - 1) / 2 - _ZERO) * _SCALE
 
 
 def lab_of(rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
     """Return the CIE Lab colours of an image, ``(h, w, 3)`` float32: L 0...100, a and b about -128...127."""
     lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB).astype(np.float32)
-    return (lab - np.float32((0, 128, 128))) * np.float32((_LIGHTNESS, 1, 1))
+    return (lab - _ZERO.astype(np.float32)) * _SCALE.astype(np.float32)
 
 
 def log_odds(lab: Array, inside: tuple[ColourGaussian, ...], outside: tuple[ColourGaussian, ...]) -> Array:
@@ -161,9 +164,7 @@ def _cell_table(rule: ClickedColours) -> npt.NDArray[np.bool_]:
     near = np.zeros((_CELLS, _CELLS, _CELLS), np.bool_)
     for each in rule.object:
         reach = _REACH * np.sqrt(np.diag(each.matrix))
-        low, high = (
-            ((np.array(each.mean) + side * reach) / (_LIGHTNESS, 1, 1) + (0, 128, 128)) / CELL for side in (-1, 1)
-        )
+        low, high = (((np.array(each.mean) + side * reach) / _SCALE + _ZERO) / CELL for side in (-1, 1))
         first = np.clip(np.floor(low), 0, _CELLS).astype(int)
         stop = np.clip(np.ceil(high) + 1, 0, _CELLS).astype(int)
         near[first[0] : stop[0], first[1] : stop[1], first[2] : stop[2]] = True

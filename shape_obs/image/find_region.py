@@ -13,6 +13,7 @@ from shape_obs.frame import Frame
 from shape_obs.geometry.observed import MIN_SAMPLES
 from shape_obs.image.colour_search import find_by_colour, find_on_lattice, look_up, table_mask
 from shape_obs.image.connected_runs import draw_components, find_components, near_mask
+from shape_obs.image.mask_check import checked_mask
 from shape_obs.image.outline_tracing import trace_components
 from shape_obs.image.region import Region
 from shape_obs.image.roi import ROI, Window
@@ -42,6 +43,8 @@ def segment(frame: Frame, window: Window, rule: Segmentation, roi: ROI, width: f
     """
     if not is_tabulated(rule):
         mask = rule.apply(frame, window)
+        if type(rule).apply is not Segmentation.apply:  # which checks what ``threshold`` returns
+            mask = checked_mask(mask, (window.height, window.width), rule.label)
     else:
         rgb = frame.rgb if frame.rgb is not None else need(None, "rgb", rule)
         table, step = colour_table(rule), _FAR_STEP if width >= _WIDE else _NEAR_STEP if width >= _NARROW else 1
@@ -50,6 +53,19 @@ def segment(frame: Frame, window: Window, rule: Segmentation, roi: ROI, width: f
             return _region(window, *find_by_colour(rgb, window, table, step, rule.min_area, rule.min_share))
         mask = rule.clean(table_mask(rgb, window, table))
     return find_region(roi.blank(mask, window), window, rule.min_area, rule.min_share)
+
+
+def cut_region(mask: npt.NDArray[np.uint8], window: Window, rule: Segmentation, roi: ROI) -> Region:
+    """Find the plausible components in a window of the mask that a rule returned for the whole image.
+
+    Args:
+        mask: ``(H, W)`` uint8, 0 = background; it stays as it is.
+        window: Where to look.
+        rule: The clean-up.
+        roi: What to blank in the window.
+    """
+    part = rule.clean(mask[window.slices].copy())
+    return find_region(roi.blank(part, window), window, rule.min_area, rule.min_share)
 
 
 def find_region(mask: npt.NDArray[np.uint8], window: Window, min_area: int, min_share: float) -> Region:
@@ -101,10 +117,10 @@ def _region(
         )
         mask, runs, areas, box = np.zeros_like(mask), runs[:0], areas[:0], (window.left, window.top, 0, 0)
     sizes = sorted(areas.tolist(), reverse=True)
-    area = sum(sizes)
+    area, noise = sum(sizes), bool(refusal)
     if area < MIN_SAMPLES and not refusal:
         refusal = f"the mask has {area} pixels, at least {MIN_SAMPLES} are needed" if area else "the mask is empty"
-    return Region(window, mask, runs, tuple(sizes), Window(*box), area, len(sizes), refusal)
+    return Region(window, mask, runs, tuple(sizes), Window(*box), area, len(sizes), refusal, noise=noise)
 
 
 @lru_cache(maxsize=64)
@@ -119,7 +135,12 @@ def is_tabulated(rule: Segmentation | None) -> TypeGuard[ColourRule]:
 
 
 def prepare(rules: Iterable[Segmentation | None]) -> list[Callable[..., Any]]:
-    """Build the tables of colour rules, and return the compiled functions that any region needs."""
-    tabulated = [colour_table(rule) for rule in rules if is_tabulated(rule)]
+    """Build the tables of colour rules, prepare the others, and return the compiled functions that any region needs."""
+    tabulated = []
+    for rule in rules:
+        if isinstance(rule, ColourRule) and is_tabulated(rule):
+            tabulated.append(colour_table(rule))
+        elif rule is not None:
+            rule.prepare()
     colours = [look_up, find_on_lattice] if tabulated else []
     return [find_components, near_mask, trace_components, *colours]

@@ -58,6 +58,7 @@ class Region:
         refusal: Why it is no object, in words: nothing is seen, or noise, which is left out; empty if it may be one.
         resolution: One pixel.
         axis: Where its axis lies if it is a rope that was found among others; None if that is to be found.
+        noise: Whether it was refused as noise.
     """
 
     window: Window
@@ -70,6 +71,7 @@ class Region:
     refusal: str = ""
     resolution: float = 1.0
     axis: FittedCurve | None = None
+    noise: bool = False
     unit: ClassVar[str] = "px"
     noun: ClassVar[str] = "mask"
     sample_unit: ClassVar[str] = "pixels"

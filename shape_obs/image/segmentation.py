@@ -9,26 +9,34 @@ from __future__ import annotations
 from abc import abstractmethod
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.frame import MILLIMETRE, Frame
+from shape_obs.image.mask_check import checked_mask
 from shape_obs.image.roi import Window
-from shape_obs.spec import Spec
+from shape_obs.spec import Spec, SpecError
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 Table = npt.NDArray[np.uint64]
 
 LEVELS: Final = 256  # of a colour channel
 _KEPT: Final = 16  # tables, 2 MB each
-_ELSEWHERE: Final = {"click": "shape_obs.image.clicked_colours"}  # kinds that other modules define
+#: Kinds that other modules define.
+_ELSEWHERE: Final = {"callable": "shape_obs.image.mask_function", "click": "shape_obs.image.clicked_colours"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Segmentation(Spec, family="segmentation", modules=_ELSEWHERE):
     """A pixel rule with its clean-up.
+
+    A subclass whose ``whole_image`` is True has its ``threshold`` called once for each frame with a window of the whole
+    image, for example because a neural network reads it; otherwise it is called with each window that is searched.
 
     Args:
         open: Edge of the square for morphological opening, pixels; 0 leaves it out. An object thinner than this
@@ -39,10 +47,24 @@ class Segmentation(Spec, family="segmentation", modules=_ELSEWHERE):
             paper does. A cable that something crosses falls into several components, hence the default.
     """
 
+    whole_image: ClassVar[bool] = False
+
     open: int = 0
     close: int = 0
     min_area: int = 20
     min_share: float = 0.05
+
+    @classmethod
+    def from_dict(cls, value: Any) -> Self:
+        """Build a rule as ``Spec.from_dict`` does; a function or its path ``"module:function"`` is one of its own.
+
+        Raises:
+            SpecError: A field or kind is unknown, or a value has a wrong type.
+        """
+        path = isinstance(value, str) and ":" in value
+        if path or (callable(value) and not isinstance(value, (Segmentation, type))):
+            value = {"kind": "callable", "function": value}
+        return super().from_dict(value)  # type: ignore[arg-type]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -55,8 +77,8 @@ class Segmentation(Spec, family="segmentation", modules=_ELSEWHERE):
             raise ValueError(f"{self.kind}: min_share must lie in 0...1, got {self.min_share}.")
 
     def apply(self, frame: Frame, window: Window) -> npt.NDArray[np.uint8]:
-        """Return the mask of ``window``: ``(h, w)`` uint8, 0 or 255, after opening and closing."""
-        return self.clean(self.threshold(frame, window))
+        """Return the mask of ``window``: ``(h, w)`` uint8, 0 = background, after opening and closing."""
+        return self.clean(checked_mask(self.threshold(frame, window), (window.height, window.width), self.label))
 
     def clean(self, mask: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         """Return a mask after opening and closing; it is overwritten."""
@@ -67,14 +89,28 @@ class Segmentation(Spec, family="segmentation", modules=_ELSEWHERE):
         return mask
 
     @abstractmethod
-    def threshold(self, frame: Frame, window: Window) -> npt.NDArray[np.uint8]:
-        """Return the mask of the bare rule, ``(h, w)`` uint8, 0 or 255."""
+    def threshold(self, frame: Frame, window: Window) -> npt.NDArray[Any]:
+        """Return the mask of the bare rule: ``(h, w)`` bool or uint8, 0 and 1 or 0 and 255."""
+
+    @property
+    def label(self) -> str:
+        """What error messages call the rule."""
+        own = type(self)
+        return f"segmentation {self.kind!r}" if "kind" in vars(own) else f"segmentation {own.__name__}"
+
+    @property
+    def code_path(self) -> str:
+        """The import path of the user's code that the rule names; empty if it names none."""
+        return ""
+
+    def prepare(self) -> None:
+        """Load what the rule needs before the first frame; most need nothing."""
 
 
 def need(image: npt.NDArray[Any] | None, name: str, rule: Segmentation) -> npt.NDArray[Any]:
     """Return the image that a rule reads, or an error that says which is missing."""
     if image is None:
-        raise ValueError(f"segmentation {rule.kind!r} needs {name}, but the frame has none.")
+        raise ValueError(f"{rule.label} needs {name}, but the frame has none.")
     return image
 
 
@@ -96,12 +132,13 @@ class ColourRule(Segmentation):
 
     @abstractmethod
     def matches(self, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
-        """Return which pixels of an ``(h, w, 3)`` image belong to the object: ``(h, w)`` bool, or uint8 0 and 255."""
+        """Return which pixels of an ``(h, w, 3)`` image belong to the object: ``(h, w)``, as ``threshold`` does."""
 
     def threshold(self, frame: Frame, window: Window) -> npt.NDArray[np.uint8]:
         """Return the mask of the window: ``(h, w)`` uint8, 0 or 255."""
-        found = np.asarray(self.matches(need(frame.rgb, "rgb", self)[window.slices]))
-        return found if found.dtype == np.uint8 else found.astype(bool).view(np.uint8) * np.uint8(255)
+        found = self.matches(need(frame.rgb, "rgb", self)[window.slices])
+        mask = checked_mask(found, (window.height, window.width), self.label)
+        return mask if mask is found else mask * np.uint8(255)
 
 
 HUES = 180
@@ -120,11 +157,20 @@ class HSVRange(ColourRule, kind="hsv"):
     high: tuple[int, int, int]
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         top = (HUES - 1, 255, 255)
         for name, bound in (("low", self.low), ("high", self.high)):
+            if scaled := _from_fractions(bound):
+                raise SpecError(
+                    f"hsv: {name} must be (h 0...179, s 0...255, v 0...255), got {tuple(bound)}. If that is 0...1, "
+                    f"give {scaled}."
+                )
+        super().__post_init__()
+        for name, bound in (("low", self.low), ("high", self.high)):
             if len(bound) != 3 or any(not 0 <= value <= limit for value, limit in zip(bound, top, strict=True)):
-                raise ValueError(f"hsv: {name} must be (h 0...179, s 0...255, v 0...255), got {bound}.")
+                text = f"hsv: {name} must be (h 0...179, s 0...255, v 0...255), got {bound}."
+                if HUES <= bound[0] <= 2 * HUES:
+                    text += f" If its hue is in degrees, give {bound[0] // 2}, half of it."
+                raise ValueError(text)
         for i, name in ((1, "saturation"), (2, "value")):
             if self.low[i] > self.high[i]:
                 raise ValueError(
@@ -138,6 +184,15 @@ class HSVRange(ColourRule, kind="hsv"):
             return _in_range(hsv, self.low, self.high)
         mask = _in_range(hsv, self.low, (HUES - 1, *self.high[1:]))
         return mask | _in_range(hsv, (0, *self.low[1:]), self.high)
+
+
+def _from_fractions(bound: Any) -> tuple[int, ...] | None:
+    """Return a colour given as 0...1 on OpenCV's scale; None if it has no fractions, or more than fractions."""
+    values = list(bound) if isinstance(bound, (tuple, list, np.ndarray)) else []
+    numbers = len(values) == 3 and all(isinstance(value, (int, float)) and 0 <= value <= 1 for value in values)
+    if not numbers or all(float(value).is_integer() for value in values):
+        return None
+    return tuple(round(value * scale) for value, scale in zip(values, (HUES - 1, 255, 255), strict=True))
 
 
 def _in_range(hsv: npt.NDArray[Any], low: tuple[int, int, int], high: tuple[int, int, int]) -> npt.NDArray[np.uint8]:
@@ -207,7 +262,8 @@ def colour_table(rule: ColourRule) -> Table:
         (262144,) uint64, read-only: the colour (r, g, b) is bit ``b & 63`` of word ``r << 10 | g << 2 | b >> 6``.
 
     Raises:
-        ValueError: The rule gave something else than a mask of the image's size.
+        TypeError: The rule returned no mask.
+        ValueError: It returned a mask of another size, or of other values.
     """
     levels = np.arange(LEVELS, dtype=np.uint8)
     plane = np.empty((LEVELS, LEVELS, 3), np.uint8)
@@ -215,13 +271,8 @@ def colour_table(rule: ColourRule) -> Table:
     table = np.empty((LEVELS, LEVELS * LEVELS // 8), np.uint8)
     for red in range(LEVELS):
         plane[..., 0] = red
-        found = np.asarray(rule.matches(plane))
-        if found.shape != (LEVELS, LEVELS):
-            raise ValueError(
-                f"segmentation {rule.kind!r}: matches() must give one value a pixel: expected shape "
-                f"{(LEVELS, LEVELS)}, got {found.shape}."
-            )
-        table[red] = np.packbits(found.astype(bool), bitorder="little")
+        found = checked_mask(rule.matches(plane), (LEVELS, LEVELS), rule.label)
+        table[red] = np.packbits(found != 0, bitorder="little")
     words = table.reshape(-1).view("<u8").astype(np.uint64, copy=False)
     words.setflags(write=False)
     return words

@@ -8,23 +8,17 @@ files with two checksums, one of the file and one of the array.
 from __future__ import annotations
 
 import dataclasses
-import io
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
-import cv2
 import numpy as np
-import numpy.typing as npt
 
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.frame import Frame
-from shape_obs.source import BadRecording, EndOfSource, RGBDSource
+from shape_obs.recording.transition import RobotInfo, Transition
+from shape_obs.source import EndOfSource, RGBDSource
 from shape_obs.spec import Spec, SpecError
-from shape_obs.utils.arrays import decode_image, decode_npy
-from shape_obs.utils.files import inside
 
 T = TypeVar("T", bound=Spec)
 
@@ -33,9 +27,6 @@ VERSION: Final = 1
 CAMERA_FILE: Final = "camera.json"
 FRAMES_FILE: Final = "frames.jsonl"
 END: Final = "end"
-
-# Run-length coding: the fastest lossless setting, and for camera images also the smallest.
-_PNG: Final = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
 
 
 @dataclass(frozen=True)
@@ -64,6 +55,8 @@ class FrameLine(Spec):
         episode: Number of the episode.
         anchors: Points at which the object was held, by name: (x, y, z) in metres, or (u, v) in pixels.
         camera: Camera of the frame, if it differs from that in ``camera.json``.
+        transition: The step of the environment or robot that led to the frame; None if the source takes no steps.
+        state: State of the robot when the frame was used, named by ``robot.state`` in ``camera.json``; None if unknown.
         rgb: Colour image.
         depth: Depth image.
 
@@ -77,6 +70,8 @@ class FrameLine(Spec):
     episode: int
     anchors: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     camera: Mapping[str, Any] | None = None
+    transition: Transition | None = None
+    state: tuple[float, ...] | None = None
     rgb: ImageEntry | None = None
     depth: ImageEntry | None = None
 
@@ -98,6 +93,7 @@ class CameraFile(Spec):
         source: ``kind`` and ``name`` of the recorded source.
         serial: Serial number of the camera, if known.
         depth: Whether frames carry depth.
+        robot: Names of the values of actions and states; None if none are recorded.
 
     Raises:
         SpecError: A value of the wrong type.
@@ -106,6 +102,7 @@ class CameraFile(Spec):
     source: Mapping[str, str]
     serial: str | None
     depth: bool
+    robot: RobotInfo | None = None
 
 
 def read_known(kind: type[T], content: Mapping[str, Any]) -> T:
@@ -145,97 +142,8 @@ def camera_from_dict(content: Mapping[str, Any]) -> CameraModel | None:
     return CameraModel(Intrinsics.from_dict(intrinsics), matrix)
 
 
-def store(folder: Path, kind: str, index: int, image: npt.NDArray[Any]) -> dict[str, Any]:
-    """Write an image and return its entry for ``frames.jsonl``.
-
-    Args:
-        folder: The recording.
-        kind: ``"rgb"`` or ``"depth"``.
-        index: Index of the frame in the recording.
-        image: RGB of shape ``(H, W, 3)`` uint8; or depth of shape ``(H, W)``, stored as PNG if uint16 millimetres, and
-            as .npy if floating-point metres.
-
-    Returns:
-        The fields of an ``ImageEntry``.
-
-    Raises:
-        OSError: The file cannot be written; a partly written file is removed.
-    """
-    if np.issubdtype(image.dtype, np.floating):
-        suffix, buffer = "npy", io.BytesIO()
-        np.save(buffer, image)
-        data = buffer.getvalue()
-    else:
-        suffix = "png"
-        data = cv2.imencode(".png", image if kind == "depth" else cv2.cvtColor(image, cv2.COLOR_RGB2BGR), _PNG)[
-            1
-        ].tobytes()
-    name = f"{kind}/{index:06d}.{suffix}"
-    try:
-        (folder / name).write_bytes(data)
-    except OSError as error:
-        (folder / name).unlink(missing_ok=True)
-        raise OSError(f"cannot write {folder / name}: {error.strerror or error}") from error
-    return {"file": name, "crc32": _crc32(image), "file_crc32": zlib.crc32(data)}
-
-
-def restore(folder: Path, kind: str, entry: ImageEntry) -> npt.NDArray[Any]:
-    """Read exactly the array that ``store`` was given.
-
-    Args:
-        folder: The recording; files outside of it are never read.
-        kind: ``"rgb"`` or ``"depth"``.
-        entry: The image's entry in ``frames.jsonl``.
-
-    Raises:
-        BadRecording: The file is missing or damaged, lies outside the recording, or holds something else.
-    """
-    try:
-        path = inside(folder, entry.file)
-        if path.exists() and not path.is_file():
-            raise ValueError(f"{path}: expected a file, got a folder or a device.")
-        data = path.read_bytes()
-    except OSError as error:
-        raise BadRecording(
-            f"{folder / entry.file}: cannot be read ({error.strerror}), but the recording names it."
-        ) from error
-    except ValueError as error:
-        raise BadRecording(f"{folder}: it names an image outside of the recording: {error}") from error
-    # Checked before decoding, since libpng writes errors to stderr.
-    if zlib.crc32(data) != entry.file_crc32:
-        raise BadRecording(f"{path}: damaged, its checksum differs from the recorded one.")
-    try:
-        image = _decoded(data, kind, path)
-    except ValueError as error:
-        raise BadRecording(str(error)) from error
-    if _crc32(image) != entry.crc32:
-        raise BadRecording(f"{path}: it decodes to another image than was recorded.")
-    return image
-
-
-def _decoded(data: bytes, kind: str, path: Path) -> npt.NDArray[Any]:
-    """Decode the image in a file's content; raise ``ValueError`` if it is not an image of this kind."""
-    if path.suffix == ".npy":
-        image = decode_npy(data, str(path))
-    else:
-        image = decode_image(data, cv2.IMREAD_UNCHANGED, str(path))
-    if kind == "depth":
-        valid = image.ndim == 2 and (image.dtype == np.uint16 or np.issubdtype(image.dtype, np.floating))
-    else:
-        valid = image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.uint8
-    if not valid:
-        raise ValueError(f"{path}: expected a {kind} image, got shape {image.shape} of {image.dtype}.")
-    if path.suffix == ".npy" or kind == "depth":
-        return image
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
-
-
-def _crc32(image: npt.NDArray[Any]) -> int:
-    return zlib.crc32(np.ascontiguousarray(image).data.cast("B"))
-
-
 class Moment(NamedTuple):
-    """A frame with anchors and episode at the same instant.
+    """A frame, and what else a source publishes of the same instant.
 
     Attributes:
         frame: Frame of the camera.
@@ -243,17 +151,35 @@ class Moment(NamedTuple):
             Sources publish them in the attribute ``anchors``.
         episode: Number of the episode; between two episodes the scene may jump. Sources publish it in the attribute
             ``episode``.
+        transition: The step that led to the frame; None if the source takes no steps. Sources publish it in the
+            attribute ``transition``.
+        state: ``(S,)`` state of the robot, in the units of its ``action_spec``; None if unknown. Sources publish it in
+            the attribute ``state``, and the names in ``robot_info``.
     """
 
     frame: Frame
     anchors: Mapping[str, Sequence[float]] = {}
     episode: int = 0
+    transition: Transition | None = None
+    state: tuple[float, ...] | None = None
 
 
 def read_moment(source: RGBDSource, timeout: float) -> Moment:
-    """Read the next frame of a source with its anchors and episode; raise as ``source.read`` does."""
+    """Read the next frame of a source and what the source publishes with it; raise as ``source.read`` does.
+
+    Raises:
+        TypeError: The source, of a user's own class, returned something else.
+    """
     frame = source.read(timeout)
-    return Moment(frame, dict(getattr(source, "anchors", {})), getattr(source, "episode", 0))
+    if not isinstance(frame, Frame):
+        raise TypeError(f"{source.name}: read() returned a {type(frame).__name__}, expected a shape_obs.Frame.")
+    return Moment(
+        frame,
+        dict(getattr(source, "anchors", {})),
+        getattr(source, "episode", 0),
+        getattr(source, "transition", None),
+        getattr(source, "state", None),
+    )
 
 
 def read_moments(

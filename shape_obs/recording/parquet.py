@@ -13,6 +13,7 @@ import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -30,8 +31,20 @@ _STAMP: Final = re.compile(rb"(\d{16}) bytes, sha256 ([0-9a-f]{64})")
 Column = npt.NDArray[Any]
 
 
-def write_parquet(path: Path, columns: Mapping[str, Column], metadata: Mapping[str, Any]) -> None:
+def write_parquet(
+    path: Path,
+    columns: Mapping[str, Column],
+    metadata: Mapping[str, Any],
+    absent: Mapping[str, npt.NDArray[np.bool_]] = MappingProxyType({}),
+) -> None:
     """Write a table with its checksums; columns with more than one axis become flat lists.
+
+    Args:
+        path: The file.
+        columns: Arrays with one row for each row of the table.
+        metadata: JSON values.
+        absent: Rows ``(F,)`` of a column that become null. Lists of such a column have no fixed size in the schema, so
+            that files whose rows have other sizes form one dataset with it.
 
     Raises:
         ImportError: The extra ``parquet`` is missing.
@@ -40,9 +53,17 @@ def write_parquet(path: Path, columns: Mapping[str, Column], metadata: Mapping[s
     arrow, parquet = need_pyarrow()
     arrays = {}
     for name, column in columns.items():
-        flat = arrow.array(np.ascontiguousarray(column).ravel())
-        width = int(np.prod(column.shape[1:]))
-        arrays[name] = flat if column.ndim == 1 else arrow.FixedSizeListArray.from_arrays(flat, width)
+        flat = np.ascontiguousarray(column)
+        width, null = int(np.prod(column.shape[1:])), absent.get(name)
+        if column.ndim == 1:
+            arrays[name] = arrow.array(flat, mask=null)
+        elif null is None:
+            arrays[name] = arrow.FixedSizeListArray.from_arrays(arrow.array(flat.ravel()), width)
+        else:
+            ends = np.concatenate([[0], np.cumsum(np.where(null, 0, width))]).astype(np.int32)
+            arrays[name] = arrow.ListArray.from_arrays(
+                arrow.array(ends), arrow.array(flat[~null].ravel()), mask=arrow.array(null)
+            )
     content = arrow.table(arrays).replace_schema_metadata({METADATA: json.dumps(metadata)})
     with parquet.ParquetWriter(path, content.schema, write_page_checksum=True) as writer:
         writer.write_table(content)
@@ -108,6 +129,22 @@ def _stamped(data: bytes, at: int, text: str) -> bytes:
 
 
 def _as_array(column: Any) -> Column:
-    if not hasattr(column.type, "list_size"):
-        return column.to_numpy(zero_copy_only=False)
-    return column.flatten().to_numpy(zero_copy_only=False).reshape(len(column), column.type.list_size)
+    if hasattr(column.type, "list_size"):
+        return column.flatten().to_numpy(zero_copy_only=False).reshape(len(column), column.type.list_size)
+    if hasattr(column.type, "value_type"):
+        return _as_rows(column)
+    if column.null_count and column.type == "bool":
+        column = column.fill_null(False)
+    elif column.null_count and column.type == "int64":
+        column = column.fill_null(-1)
+    return column.to_numpy(zero_copy_only=False)
+
+
+def _as_rows(column: Any) -> Column:
+    """Return lists of floats of one size as rows, NaN where they are null."""
+    there = column.is_valid().to_numpy(zero_copy_only=False)
+    values = column.flatten().to_numpy(zero_copy_only=False)
+    count = int(there.sum())
+    rows = np.full((len(column), len(values) // max(count, 1)), np.nan)
+    rows[there] = values.reshape(count, rows.shape[1])
+    return rows

@@ -19,8 +19,8 @@ from shape_obs.recording.format import (
     Moment,
     camera_from_dict,
     read_known,
-    restore,
 )
+from shape_obs.recording.images import restore
 from shape_obs.source import BadRecording
 from shape_obs.utils.documents import parse_json, read_json
 
@@ -40,6 +40,7 @@ class Recording:
         serial: Serial number of the camera, if known.
         source: ``kind`` and ``name`` of the recorded source.
         has_depth: Whether frames have depth.
+        robot: Names of the values of the recorded actions and states; None if there are none.
         warning: What is missing; empty if the recording is complete.
         ended: Content of the last line, such as the number of dropped frames; empty after an interruption.
 
@@ -56,7 +57,7 @@ class Recording:
         except (KeyError, ValueError, TypeError) as error:
             raise BadRecording(f"{self.path / CAMERA_FILE}: damaged: {error!r}") from error
         self.source: Mapping[str, str] = head.source
-        self.has_depth, self.serial = head.depth, head.serial
+        self.has_depth, self.serial, self.robot = head.depth, head.serial, head.robot
         self._lines, self.ended, partial = self._read_lines()
         self.warning = ""
         if not self.ended:
@@ -86,7 +87,8 @@ class Recording:
         depth = None if line.depth is None else restore(self.path, "depth", line.depth)
         try:
             camera = self.camera if line.camera is None else camera_from_dict(line.camera)
-            return Moment(Frame(rgb, depth, camera, line.stamp, line.received, line.number), line.anchors, line.episode)
+            frame = Frame(rgb, depth, camera, line.stamp, line.received, line.number)
+            return Moment(frame, line.anchors, line.episode, line.transition, line.state)
         except (KeyError, ValueError, TypeError) as error:
             where = f"{self.path / FRAMES_FILE}, line {range(len(self))[index] + 1}"
             raise BadRecording(f"{where}: damaged: {error!r}") from error

@@ -13,9 +13,11 @@ from shape_obs.config.detector_config import ALGORITHM
 from shape_obs.detector import ShapeDetector
 from shape_obs.extrinsics import now
 from shape_obs.features import read_features
-from shape_obs.image.segmentation import DepthRange
+from shape_obs.features.feature import what_needs_depth
 from shape_obs.recording.format import Moment, camera_to_dict, read_moments
+from shape_obs.recording.step_columns import step_columns
 from shape_obs.recording.table import Column, ShapeTable
+from shape_obs.recording.transition import Transition
 from shape_obs.recording.writer import software
 from shape_obs.shape import Detection, Shape
 from shape_obs.source import RGBDSource
@@ -61,11 +63,7 @@ def check_depth(source: RGBDSource, detector: ShapeDetector, arguments: Mapping[
         ValueError: The message lists everything that needs the missing depth or intrinsics.
     """
     features = read_features(arguments.get("features") or ())
-    needs = [f"feature {feature.kind!r}" for feature in features if feature.needs_depth]
-    for spec in detector.shapes:
-        needs += [f"lift='cloud' of shape {spec.name!r}"] if spec.lift == "cloud" else []
-        needs += [f"spacing='m' of shape {spec.name!r}"] if spec.spacing == "m" else []
-        needs += [f"segmentation 'depth' of shape {spec.name!r}"] if isinstance(spec.segmentation, DepthRange) else []
+    needs = what_needs_depth(detector.shapes, features)
     missing = "depth" if not source.has_depth else "intrinsics" if source.intrinsics is None else ""
     if needs and missing:
         raise ValueError(
@@ -85,14 +83,15 @@ class ShapeLog:
 
     Attributes:
         metadata: JSON values: ``config`` (YAML), ``schema_hash``, ``config_hash``, ``shapes`` (number of points by
-            name), ``source``, ``camera``, ``created``, ``software``, ``algorithm`` (the version of the
-            detector's).
+            name), ``source``, ``camera``, ``robot`` (names of actions and states, if there are any), ``created``,
+            ``software``, ``algorithm`` (the version of the detector's).
     """
 
     def __init__(
         self, detector: ShapeDetector, arguments: Mapping[str, Any] | None = None, source: RGBDSource | None = None
     ) -> None:
         given = detector.config.to_dict() if arguments is None else arguments
+        robot = getattr(source, "robot_info", None)
         self.metadata: dict[str, Any] = {
             "config": dump_config(given),
             "schema_hash": schema_hash(given),
@@ -100,11 +99,14 @@ class ShapeLog:
             "shapes": {spec.name: spec.layout.size for spec in detector.shapes},
             "source": None if source is None else {"kind": source.kind, "name": source.name},
             "camera": None if source is None else camera_to_dict(source.camera),
+            "robot": robot and robot.to_dict(),
             "created": now(),
             "software": software(),
             "algorithm": ALGORITHM,
         }
         self._rows: defaultdict[str, list[Any]] = defaultdict(list)
+        self._transitions: list[Transition | None] = []
+        self._states: list[tuple[float, ...] | None] = []
 
     def __len__(self) -> int:
         return len(self._rows["frame"])
@@ -112,6 +114,8 @@ class ShapeLog:
     def add(self, moment: Moment, detection: Detection) -> None:
         """Add a frame; points of a shape that is not ok become NaN."""
         frame, rows = moment.frame, self._rows
+        self._transitions.append(moment.transition)
+        self._states.append(moment.state)
         rows["frame"].append(len(self))
         rows["number"].append(-1 if frame.number is None else frame.number)
         rows["episode"].append(moment.episode)
@@ -138,6 +142,8 @@ class ShapeLog:
             column = _column(name, values, self.metadata["shapes"])
             if column is not None:
                 columns[name] = column
+        if any(self._transitions) or any(self._states):
+            columns |= step_columns(self._rows["episode"], self._transitions, self._states)
         return ShapeTable(columns, {**self.metadata, "frames": len(self)})
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.recording.parquet import need_pyarrow, read_parquet, write_parquet
+from shape_obs.recording.step_columns import STEP_COLUMNS, VECTORS, absent
 from shape_obs.utils.arrays import decode_npz
 from shape_obs.utils.documents import parse_json, read_json
 from shape_obs.utils.errors import did_you_mean
@@ -36,6 +37,9 @@ _TYPES: Final[Mapping[str, type[Any]]] = {
     "visible": np.bool_,
     "valid": np.bool_,
     "new": np.bool_,
+    "terminated": np.bool_,
+    "truncated": np.bool_,
+    "step": np.int64,
     "track_id": np.int64,
     "sigma": np.float32,
     "reason": np.str_,
@@ -59,7 +63,10 @@ class ShapeTable:
             pixels without depth, ``<name>/points2d`` ``(F, N, 2)`` float32 in pixels, ``<name>/points3d``
             ``(F, N, 3)`` float32 in metres in the camera frame (only with depth), ``<name>/visible`` and
             ``<name>/valid`` ``(F, N)`` bool. Points are NaN where ``ok`` is False. Tables of earlier versions have no
-            ``warning``, ``track_id``, ``new``, ``length`` and ``sigma``.
+            ``warning``, ``track_id``, ``new``, ``length`` and ``sigma``. If the recording has a robot or environment:
+            ``step`` ``(F,)`` int, the number of steps since the episode began; of the step that followed the frame
+            ``action`` ``(F, A)``, ``reward`` ``(F,)``, ``terminated`` and ``truncated`` ``(F,)`` bool, NaN and False
+            where none did; and ``state`` ``(F, S)`` of the robot.
         metadata: JSON values that describe how the table was made.
     """
 
@@ -69,7 +76,9 @@ class ShapeTable:
     def __getitem__(self, name: str) -> Column:
         if name not in self.columns:
             hint = ""
-            if name.rpartition("/")[2] in _LATER:
+            if name in STEP_COLUMNS:
+                hint = " Only recordings of a robot or an environment have it, and none of earlier versions."
+            elif name.rpartition("/")[2] in _LATER:
                 hint = " Tables of earlier versions do not have it: replay the recording again."
             raise KeyError(f"no column {name!r}{did_you_mean(name, self.columns)}{hint}")
         return self.columns[name]
@@ -81,9 +90,9 @@ class ShapeTable:
         """Write the table, completely or not at all.
 
         Args:
-            path: File with the suffix ``.npz``; ``.parquet``, with points as flat lists (``.reshape(-1, N, 2)``) and
-                the metadata in the schema under the key ``shape_obs``; or ``.csv``, with the metadata in a second file,
-                ``.csv.meta.json``.
+            path: File with the suffix ``.npz``; ``.parquet``, with points as flat lists (``.reshape(-1, N, 2)``), null
+                where no step followed, and the metadata in the schema under the key ``shape_obs``; or ``.csv``, with
+                the metadata in a second file, ``.csv.meta.json``.
 
         Raises:
             ValueError: The suffix is another one.
@@ -154,7 +163,7 @@ def _load_npz(path: Path) -> ShapeTable:
 
 
 def _save_parquet(path: Path, table: ShapeTable) -> None:
-    write_parquet(path, table.columns, table.metadata)
+    write_parquet(path, table.columns, table.metadata, absent(table.columns))
 
 
 def _load_parquet(path: Path) -> ShapeTable:
@@ -205,7 +214,7 @@ def _load_csv(path: Path) -> ShapeTable:
         column = np.array(texts).T == "True" if wanted is np.bool_ else np.array(texts).T.astype(wanted)
         if kind in _AXES:
             column = column.reshape(len(rows), -1, len(_AXES[kind]))
-        columns[name] = column if kind in (*_AXES, *_PER_POINT) else column[:, 0]
+        columns[name] = column if kind in (*_AXES, *_PER_POINT) or name in VECTORS else column[:, 0]
     return ShapeTable(columns, metadata)
 
 

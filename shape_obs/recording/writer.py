@@ -1,4 +1,4 @@
-"""Record a source into a folder, as fast as frames arrive, so that an interruption leaves only complete frames."""
+"""Write frames into a folder, as fast as they arrive, so that an interruption leaves only complete frames."""
 
 from __future__ import annotations
 
@@ -7,17 +7,14 @@ import platform
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, fields
 from importlib import metadata
-from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from shape_obs import __version__
 from shape_obs.extrinsics import now
-from shape_obs.frame import Frame
 from shape_obs.recording.format import (
     CAMERA_FILE,
     END,
@@ -26,105 +23,14 @@ from shape_obs.recording.format import (
     VERSION,
     Moment,
     camera_to_dict,
-    read_moments,
-    store,
 )
-from shape_obs.source import EndOfSource, RGBDSource, SourceError
+from shape_obs.recording.images import store
+from shape_obs.recording.transition import RobotInfo
+from shape_obs.source import RGBDSource
 from shape_obs.utils.files import make_folder, write_text
 
 if TYPE_CHECKING:
     from typing_extensions import Self
-
-Depth = Literal["auto", "yes", "no"]
-
-
-@dataclass
-class Recorded:
-    """The outcome of a recording.
-
-    Attributes:
-        path: The folder or file.
-        frames: Number of written frames.
-        missed: Number of frames, by the source's frame numbers, that were never read.
-        dropped: Number of frames that were read but not written, since the encoders or the disk were too slow.
-        seconds: Time from the first stamp to the last; 0 without stamps.
-        stopped: ``"done"`` (a limit, or the end of the source), ``"interrupted"`` (Ctrl-C), or the message of an error.
-    """
-
-    path: Path
-    frames: int = 0
-    missed: int = 0
-    dropped: int = 0
-    seconds: float = 0.0
-    stopped: str = "done"
-
-    def __post_init__(self) -> None:
-        self._last: Frame | None = None
-
-    def count(self, frame: Frame) -> None:
-        """Count a frame that was read; when the frame numbers restart, no frame counts as missed."""
-        before, self._last = self._last, frame
-        if before is not None and before.number is not None and frame.number is not None:
-            self.missed += max(frame.number - before.number - 1, 0)
-        if before is not None and before.stamp is not None and frame.stamp is not None:
-            self.seconds += frame.stamp - before.stamp
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the outcome as JSON values."""
-        return {**{field.name: getattr(self, field.name) for field in fields(self)}, "path": str(self.path)}
-
-
-def record(
-    source: RGBDSource,
-    path: str | Path,
-    *,
-    frames: int | None = None,
-    seconds: float | None = None,
-    depth: Depth = "auto",
-    workers: int = 2,
-    on_frame: Callable[[], Any] | None = None,
-) -> Recorded:
-    """Record a source until a limit, its end, Ctrl-C, or the loss of the camera; recorded frames are kept.
-
-    Args:
-        source: The source; it is connected if necessary.
-        path: A folder that does not exist or is empty.
-        frames: Largest number of frames.
-        seconds: Largest duration by the stamps.
-        depth: ``"auto"`` records depth if there is any, ``"yes"`` requires it, ``"no"`` leaves it out.
-        workers: Number of threads that encode images.
-        on_frame: Called after each frame, for a progress bar.
-
-    Raises:
-        ValueError: A limit is out of range, or depth is required and missing.
-        FileExistsError: The folder is not empty.
-        OSError: A file cannot be written, as on a full disk; the message gives the number of complete frames.
-        SourceError: The source cannot be opened, or has no frame.
-    """
-    check_new_folder(Path(path))
-    source.connect()
-    if depth == "yes" and not source.has_depth:
-        raise ValueError(f"{source.name} has no depth to record; a {source.kind} source has only colour.")
-    moments = read_moments(source, frames, seconds)
-    # Read before the folder is made, so that a source without frames leaves nothing behind.
-    first = next(moments, None)
-    if first is None:
-        raise EndOfSource(f"{source.name} has no frame.")
-    recorded = Recorded(Path(path))
-    with RecordingWriter(path, source, depth=source.has_depth and depth != "no", workers=workers) as writer:
-        try:
-            for moment in chain([first], moments):
-                recorded.count(moment.frame)
-                recorded.dropped += not writer.add(moment, wait=not source.live)
-                if on_frame is not None:
-                    on_frame()
-        except KeyboardInterrupt:
-            recorded.stopped = "interrupted"
-        except SourceError as error:
-            recorded.stopped = str(error)
-        writer.close(missed=recorded.missed, dropped=recorded.dropped, stopped=recorded.stopped)
-    recorded.frames = writer.frames
-    return recorded
 
 
 class RecordingWriter:
@@ -139,10 +45,12 @@ class RecordingWriter:
         depth: Whether to record depth.
         workers: Number of threads that encode images.
         pending: Largest number of frames that wait for the threads.
+        robot: Names of the values of actions and states; None for those that the source publishes as ``robot_info``.
 
     Attributes:
         path: The folder.
         frames: Number of completely written frames.
+        actions: Number of these frames that an action led to.
 
     Raises:
         FileExistsError: The folder is not empty.
@@ -150,17 +58,24 @@ class RecordingWriter:
     """
 
     def __init__(
-        self, path: str | Path, source: RGBDSource, *, depth: bool = True, workers: int = 2, pending: int = 64
+        self,
+        path: str | Path,
+        source: RGBDSource,
+        *,
+        depth: bool = True,
+        workers: int = 2,
+        pending: int = 64,
+        robot: RobotInfo | None = None,
     ) -> None:
         self.path = Path(path)
         check_new_folder(self.path)
         for folder in (self.path, self.path / "rgb", *([self.path / "depth"] if depth else [])):
             make_folder(folder)
-        self.frames = 0
+        self.frames = self.actions = 0
         self._depth = depth
         self._camera = source.camera
         self._count = 0
-        write_text(self.path / CAMERA_FILE, json.dumps(_head(source, depth), indent=1) + "\n")
+        write_text(self.path / CAMERA_FILE, json.dumps(_head(source, depth, robot), indent=1) + "\n")
         self._lines = (self.path / FRAMES_FILE).open("xb", buffering=0)
         self._error: BaseException | None = None
         self._waiting: deque[Future[dict[str, Any]]] = deque()
@@ -225,6 +140,10 @@ class RecordingWriter:
         camera = camera_to_dict(frame.camera)
         if camera != camera_to_dict(self._camera):
             line["camera"] = camera
+        if moment.transition is not None:
+            line["transition"] = moment.transition.to_dict()
+        if moment.state is not None:
+            line["state"] = list(moment.state)
         if frame.rgb is not None:
             line["rgb"] = store(self.path, "rgb", index, frame.rgb)
         if frame.depth is not None and self._depth:
@@ -241,8 +160,10 @@ class RecordingWriter:
                 self._error = self._error or future.exception()
                 if self._error is None:
                     try:
-                        self._append(future.result())
+                        line = future.result()
+                        self._append(line)
                         self.frames += 1
+                        self.actions += line.get("transition", {}).get("action") is not None
                     except OSError as error:
                         self._error = error
 
@@ -285,7 +206,8 @@ def software() -> dict[str, str]:
     return versions
 
 
-def _head(source: RGBDSource, depth: bool) -> dict[str, Any]:
+def _head(source: RGBDSource, depth: bool, robot: RobotInfo | None) -> dict[str, Any]:
+    robot = getattr(source, "robot_info", None) if robot is None else robot
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -293,6 +215,7 @@ def _head(source: RGBDSource, depth: bool) -> dict[str, Any]:
         "serial": getattr(source, "serial", None),
         "depth": depth,
         **camera_to_dict(source.camera),
+        "robot": None if robot is None else robot.to_dict(),
         "convention": "p_base = T p_camera, metres; depth/*.png in millimetres, *.npy in metres",
         "created": now(),
         "software": software(),

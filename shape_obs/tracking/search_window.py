@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import InitVar, dataclass, field
+from dataclasses import InitVar, dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.frame import Frame
-from shape_obs.image.find_region import find_region, segment
+from shape_obs.image.find_region import cut_region, find_region, segment
+from shape_obs.image.mask_check import checked_mask
 from shape_obs.image.region import Region
 from shape_obs.image.roi import ROI, Window
 from shape_obs.image.segmentation import Segmentation
@@ -80,6 +81,7 @@ class RegionSearch:
     Attributes:
         whole: The part of the image that the region of interest reads; what touches its edge may go on behind it.
         tracks: The tracks of the shapes of each rule.
+        masks: The masks of the rules that read the whole image, without their clean-up.
     """
 
     frame: Frame
@@ -89,6 +91,7 @@ class RegionSearch:
     found: InitVar[Mapping[str, Track]]
     regions: dict[Segmentation | None, Region] = field(default_factory=dict)
     clouds: dict[Segmentation | None, SeenCloud] = field(default_factory=dict)
+    masks: dict[Segmentation, npt.NDArray[np.uint8]] = field(default_factory=dict)
 
     def __post_init__(self, shapes: Iterable[Sought], found: Mapping[str, Track]) -> None:
         size = self.frame.size if self.mask is None else self.mask.shape
@@ -112,7 +115,10 @@ class RegionSearch:
             window, width = _clipped(expected.window, reach, whole), expected.width
         if self.mask is None:
             assert rule is not None
-            region = segment(frame, window, rule, self.roi, width)
+            if rule.whole_image:
+                region = cut_region(self.whole_mask(rule), window, rule, self.roi)
+            else:
+                region = segment(frame, window, rule, self.roi, width)
         else:
             floor, mask = rule or Segmentation, self.roi.blank(self.mask[window.slices], window)
             region = find_region(mask, window, floor.min_area, floor.min_share)
@@ -121,6 +127,16 @@ class RegionSearch:
             self.widen(rule)
             return self.region(rule)
         return region
+
+    def whole_mask(self, rule: Segmentation) -> npt.NDArray[np.uint8]:
+        """Return the mask of the whole image; rules that differ only in their clean-up share it."""
+        assert self.frame.size is not None
+        bare = replace(rule, open=0, close=0, min_area=1, min_share=0.0)
+        if bare not in self.masks:
+            height, width = self.frame.size
+            found = rule.threshold(self.frame, Window(0, 0, width, height))
+            self.masks[bare] = checked_mask(found, self.frame.size, rule.label)
+        return self.masks[bare]
 
     def cloud(self, rule: Segmentation | None) -> SeenCloud:
         """Return the points under the region of a rule; the frame must have depth and a camera."""

@@ -174,7 +174,9 @@ def load_named(text: str, what: str) -> Any:
     try:
         module = import_module(module_name)
     except ImportError as error:
-        raise ImportError(f"{what}: cannot import {module_name!r}: {error}") from error
+        file = Path(*module_name.split(".")).with_suffix(".py")
+        here = f" {file} is in this folder: set PYTHONPATH=. to have modules found there." if file.exists() else ""
+        raise ImportError(f"{what}: cannot import {module_name!r}: {error}.{here}") from error
     try:
         return getattr(module, name)
     except AttributeError:
@@ -195,3 +197,8 @@ def make_named(text: str, what: str, arguments: Mapping[str, Any] | None = None)
         return maker(**(arguments or {}))
     except TypeError as error:
         raise ValueError(f"{what}: {text} does not take {dict(arguments or {})}: {error}") from error
+
+
+def is_of_script(path: str) -> bool:
+    """Return whether ``module:Name`` is in the script or notebook that runs, where no other program finds it."""
+    return path.startswith("__main__:")

@@ -17,7 +17,7 @@ from shape_obs.spec import did_you_mean
 from shape_obs.wrappers.env_protocol import has_goals
 from shape_obs.wrappers.goals import STATUS, GoalVector, find_shapes
 from shape_obs.wrappers.observation_layout import ObservationLayout, main_part
-from shape_obs.wrappers.shape_observation import to_recorded
+from shape_obs.wrappers.recorded_arguments import to_recorded
 from shape_obs.wrappers.target import GoalFrame, Target, observing, record_goals
 
 GoalLike = Target | Mapping[str, Any] | npt.ArrayLike

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -13,20 +12,18 @@ import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 
-from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
-from shape_obs.config.detector_config import DetectorConfig
+from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.detector import ShapeDetector
 from shape_obs.features import Feature, FeatureContext, FeatureVector, read_features
+from shape_obs.features.feature import what_needs_depth
 from shape_obs.shape import Detection, Shape
-from shape_obs.spec import SpecError, did_you_mean, to_plain
+from shape_obs.spec import did_you_mean
 from shape_obs.wrappers import env_protocol
 from shape_obs.wrappers.goals import EnvGoal
 from shape_obs.wrappers.observation_layout import ObservationLayout
+from shape_obs.wrappers.recorded_arguments import OWN, check_names, check_shapes, read_camera, to_recorded
 
 Corners = tuple[tuple[float, float, float], tuple[float, float, float]]
-
-#: The arguments that are not passed on to the detector.
-_OWN: Final = ("features", "camera", "keep", "rgb_key", "depth_key", "workspace")
 
 
 class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
@@ -45,7 +42,8 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         env: An env whose observation is an RGB image, or a Dict with an RGB image (and depth). What it may publish is
             listed in ``shape_obs.wrappers.env_protocol``; arguments given here take precedence.
         shapes: Configurations; default one centerline.
-        segmentation: The segmentation rule.
+        segmentation: The segmentation rule, or a function ``(rgb, depth) -> mask`` at the top of a module, or its
+            import path ``"module:function"``: ``env.spec`` records the path.
         features: Features of each shape; default ``points3d`` with depth and camera, else ``points2d_normalized``.
         camera: Intrinsics or camera model, for envs that publish none.
         keep: Keys of the env's observation to pass on.
@@ -62,7 +60,7 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         targets: The goals of a goal-conditioned env in the last observation, a shape each; else empty.
 
     Raises:
-        ValueError: An argument is unknown or does not fit the env.
+        ValueError: An argument is unknown or does not fit the env, or a shape has no segmentation.
 
     Example:
         >>> env = ShapeObservation(env, ["centerline"], HSVRange((90, 60, 30), (130, 255, 255)))  # doctest: +SKIP
@@ -89,29 +87,28 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         gym.ObservationWrapper.__init__(self, env)
 
         chosen = {"on_invalid": "interpolate", **env_protocol.defaults(env), **given}
-        _check_names(chosen)
+        check_names(chosen)
         for policy in ("on_missing", "on_invalid"):
             if chosen.get(policy) == "nan":
                 raise ValueError(
                     f"{policy}='nan' would put NaN into observations; choose another policy, or use ShapeDetector."
                 )
-        own = {name: chosen.pop(name, None) for name in _OWN}
+        own = {name: chosen.pop(name, None) for name in OWN}
         self.detector = ShapeDetector(**chosen)
-        for shape in self.detector.config.shapes:
-            if shape.count == "all":
-                raise ValueError(
-                    f"shape {shape.name!r}: count='all' has no fixed number of slots, as an observation needs; give a "
-                    "number, or use ShapeDetector."
-                )
         self._images = Images.find(env.observation_space, own["rgb_key"], own["depth_key"])
-        self._given_camera = _read_camera(own["camera"])
+        check_shapes(self.detector.config.filled())
+        self._given_camera = read_camera(own["camera"])
         camera = self._given_camera or env_protocol.camera_model(env)
         height, width = self._images.size
         context = FeatureContext(width, height, camera, own["workspace"], self.detector.config.max_age)
         in_3d = self._images.depth_key is not None and camera is not None
         self.features = tuple(read_features(own["features"] or ("points3d" if in_3d else "points2d_normalized")))
-        if self._images.depth_key is None and any(feature.needs_depth for feature in self.features):
-            raise ValueError("features need depth, but the observation has no 'depth'; pass depth_key=.")
+        needs = what_needs_depth(self.detector.shapes, self.features) if self._images.depth_key is None else []
+        if needs:
+            raise ValueError(
+                f"the observation has no 'depth', but the config needs it: {', '.join(needs)}. Choose features in "
+                "pixels, such as points2d_normalized, and spacing='px'; or pass depth_key= if it has another name."
+            )
         space, shapes = env.observation_space, self.detector.shapes
         self._vector = FeatureVector(self.features, shapes, context)
         self.blocks = self._vector.blocks
@@ -150,6 +147,10 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
         """Return the env's reward for goals of this wrapper: flat points in metres, batched if the env supports it."""
         return self.env.get_wrapper_attr("compute_reward")(achieved_goal, desired_goal, info)
+
+    def named_features(self, values: Any) -> dict[str, dict[str, float]]:
+        """Return the features of an observation, ``(D,)``, by feature and component, see ``FeatureVector.named``."""
+        return self._vector.named(values)
 
     @property
     def contexts(self) -> list[FeatureContext]:
@@ -246,39 +247,6 @@ def _image_size(space: spaces.Space[Any], where: str) -> tuple[int, int]:
             "images first, e.g. with gymnasium.wrappers.AddRenderObservation."
         )
     return space.shape[0], space.shape[1]
-
-
-def to_recorded(value: Any) -> Any:
-    """Return a constructor argument as JSON values, so that ``gym.make(env.spec)`` rebuilds the wrapped env.
-
-    Specs, cameras, arrays and iterables become dicts, lists and scalars.
-    """
-    if isinstance(value, CameraModel):
-        transform = value.transform_camera_to_base
-        return {"intrinsics": value.intrinsics.to_dict(), "transform_camera_to_base": to_plain(transform)}
-    return to_plain(value)
-
-
-def _read_camera(value: CameraModel | Intrinsics | Mapping[str, Any] | None) -> CameraModel | None:
-    """Return the camera that ``to_recorded`` described: the mapping of a camera model, or of bare intrinsics."""
-    if not isinstance(value, Mapping):
-        return as_camera_model(value)
-    if "intrinsics" not in value:
-        return CameraModel(Intrinsics.from_dict(value))
-    transform = value.get("transform_camera_to_base")
-    return CameraModel(Intrinsics.from_dict(value["intrinsics"]), None if transform is None else np.asarray(transform))
-
-
-def _check_names(arguments: Iterable[str]) -> None:
-    """Reject arguments that neither the wrapper nor the detector has.
-
-    Raises:
-        SpecError: The message suggests the nearest known name.
-    """
-    known = [*(field.name for field in dataclasses.fields(DetectorConfig)), *_OWN]
-    for name in arguments:
-        if name not in known and name != "backend":  # an old name, which ``DetectorConfig`` ignores with a warning
-            raise SpecError(f"ShapeObservation: unknown argument {name!r}{did_you_mean(name, known)}")
 
 
 def _add_info(info: dict[str, Any], shapes: Sequence[Shape]) -> None:

@@ -15,7 +15,7 @@ GROUPS = {"calibrate": CALIBRATIONS}
 # Not rich: old versions of tyro write their help with it.
 HEAVY = {
     "PIL", "cv2", "gymnasium", "joblib", "matplotlib", "mujoco", "numba", "numpy", "pandas",
-    "pyarrow", "pyrealsense2", "ray", "scipy", "shape_obs_envs", "sklearn", "stable_baselines3", "torch",
+    "pyarrow", "pyrealsense2", "ray", "rerun", "scipy", "shape_obs_envs", "sklearn", "stable_baselines3", "torch",
     "tqdm", "yaml",
 }  # fmt: skip
 SCRIPT = """
@@ -54,7 +54,7 @@ def test_values_repeated_for_help_are_those_of_the_library():
     from shape_obs.features.coordinates import CoordinateFrame
     from shape_obs.markers import DICTIONARY
     from shape_obs.markers.sheet import Paper
-    from shape_obs.recording.writer import Depth
+    from shape_obs.recording.record import Depth
 
     assert options.DICTIONARY == DICTIONARY
     assert get_args(get_type_hints(markers.Arguments)["paper"]) == get_args(Paper)

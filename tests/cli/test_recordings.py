@@ -158,7 +158,7 @@ def test_an_interrupted_recording_is_replayed_with_a_word_about_it(place, record
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["replay", "none", "--config", "pixels.yaml"], 1, "source 'none' is not a camera, path or environment"),
+        (["replay", "none", "--config", "pixels.yaml"], 1, "source 'none' is not a camera, path, class or environment"),
         (["replay", "no/recording", "--config", "pixels.yaml"], 1, "no/recording: no such file or folder"),
         (["replay", "none.db3", "--config", "pixels.yaml"], 1, "none.db3: no such file"),
         (["replay", "empty", "--config", "pixels.yaml"], 1, "empty: expected a recording"),
@@ -185,9 +185,9 @@ def test_an_interrupted_recording_is_replayed_with_a_word_about_it(place, record
             "cannot make the output folder",
         ),
         (
-            ["replay", "photos", "--config", "pixels.yaml", "--video", "s.gif"],
+            ["replay", "photos", "--config", "pixels.yaml", "--video", "s.mkv"],
             1,
-            "expected a video named *.mp4 or *.avi",
+            "expected a video named *.mp4, *.avi, *.gif",
         ),
         (["replay", "photos", "--config", "pixels.yaml", "--frames", "0"], 2, "--frames: expected at least 1, got 0"),
         (["replay", "CartPole-v1", "--config", "pixels.yaml"], 1, "CartPole-v1: the observation must be an RGB image"),
@@ -195,7 +195,7 @@ def test_an_interrupted_recording_is_replayed_with_a_word_about_it(place, record
         (["record", "--source", "photos", "-o", "notes.txt/out"], 1, "cannot make the output folder notes.txt/out"),
         (["record", "--source", "rope.avi", "-o", "new", "--depth", "yes"], 1, "rope.avi has no depth to record"),
         (["record", "--source", "photos", "-o", "new", "--seconds", "1"], 1, "its frames have no stamps"),
-        (["record", "--source", "photos", "-o", "new.db3"], 2, "only a camera (d455) can be recorded to .db3"),
+        (["record", "--source", "photos", "-o", "new.db3"], 2, "only a RealSense camera can be recorded to .db3"),
         (["record", "--source", "photos", "-o", "new", "--set", "exposure"], 2, "--set: expected KEY=VALUE"),
         (
             ["record", "--source", "photos", "-o", "new", "--set", "exposure=1"],

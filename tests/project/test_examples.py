@@ -24,6 +24,10 @@ EXPECTED = {
     "shape_servo.py": "4 of 4 goals within 10 mm",
     "servo_robot.py": "goal            reached",
     "deploy_policy.py": "reads points3d every 0.05 s",
+    "log_rerun.py": "found in 54 of 60 frames",
+    "own_feature.py": "ok: True and within the bounds: True",
+    "own_clusterer.py": "quantiles            ok: True, off by at most 1.0 px",
+    "lerobot_dataset.py": "3 episodes, 75 rows at 20 Hz",
     "features_offline.py": "pca, aligned    11 values, points back within  ",
 }
 # Run in small by test_train_examples.py.
@@ -38,6 +42,8 @@ def test_every_example_is_tested():
 @pytest.mark.parametrize("name", EXPECTED)
 def test_example_runs(name, tmp_path):
     environment = None
+    if name == "log_rerun.py":
+        pytest.importorskip("rerun")
     if name in DRAWN_BY_GYMNASIUM:
         if gymnasium_gl.missing():
             pytest.skip(gymnasium_gl.missing())

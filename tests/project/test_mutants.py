@@ -27,7 +27,18 @@ def test_a_mutant_applies_and_loads(mutant: Mutant):
 def test_there_are_enough_of_every_part_and_names_are_unique():
     parts = Counter(mutant.name.split(":")[0] for mutant in MUTANTS)
     assert sum(parts.values()) >= 40
-    assert set(parts) == {"validation", "lift", "tracking", "order", "curve", "missing", "rope", "sheet", "safety"}
+    assert set(parts) == {
+        "validation",
+        "lift",
+        "tracking",
+        "order",
+        "curve",
+        "missing",
+        "rope",
+        "sheet",
+        "safety",
+        "brought",
+    }
     assert max(Counter(mutant.name for mutant in MUTANTS).values()) == 1
 
 

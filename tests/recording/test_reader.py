@@ -100,7 +100,7 @@ from scripted_source import Script, noise
 from shape_obs.recording import record
 source = Script(noise(4) * 1000)
 source.live = False
-record(source, sys.argv[1], on_frame=lambda: print("frame", flush=True))
+record(source, sys.argv[1], on_frame=lambda _: print("frame", flush=True))
 """
 
 

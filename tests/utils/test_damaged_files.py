@@ -251,7 +251,7 @@ def test_damaged_recordings_raise_only_bad_recording(tmp_path):
 
 def test_the_measurement_sees_what_is_read_outside(tmp_path, monkeypatch):
     """Without the check of paths, the measurement counts files that were read outside."""
-    monkeypatch.setattr("shape_obs.recording.format.inside", lambda folder, name: folder / name)
+    monkeypatch.setattr("shape_obs.recording.images.inside", lambda folder, name: folder / name)
     rows = damaged_recordings(tmp_path, 60, seed=7)
     assert rows[1]["seen"] >= 3
     assert rows[1]["reached"] == "no"

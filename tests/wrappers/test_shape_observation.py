@@ -112,7 +112,7 @@ class TestArguments:
         with pytest.raises(ValueError, match=r"keep=\['hand'\] needs a Dict observation, got Box"):
             wrapped(PixelEnv(RopeEnv()), keep=["hand"])
         with pytest.raises(
-            ValueError, match="features need depth, but the observation has no 'depth'; pass depth_key="
+            ValueError, match=r"no 'depth', but the config needs it: feature 'points3d'.*pass depth_key="
         ):
             wrapped(PixelEnv(RopeEnv()), features=["points3d"])
 

@@ -1,10 +1,10 @@
-"""The environment of a real robot: an RGB-D source observes, a robot acts, steps run at a fixed rate."""
+"""The environment of a real robot: a source observes, a robot acts, steps run at a fixed rate."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import gymnasium as gym
@@ -19,7 +19,7 @@ from shape_obs.source import NotConnected, RGBDSource, SourceError
 from shape_obs.utils.documents import make_named
 from shape_obs.utils.timing import Rate
 from shape_obs_envs.arguments import count, one_of, positive
-from shape_obs_envs.real.frame_reader import FrameReader, open_frame_source
+from shape_obs_envs.real.frame_reader import FrameReader, delivers_depth, open_frame_source
 from shape_obs_envs.real.interlock import Interlock
 
 Observation = dict[str, npt.NDArray[Any]]
@@ -29,7 +29,7 @@ _MARGIN: Final = 0.25
 
 
 class D455Env(gym.Env[Any, Any]):
-    """An environment with a depth camera and a robot.
+    """An environment with a camera and a robot.
 
     ``reset`` connects, sends the robot to its start and waits for a frame. ``step`` sends the action, waits for its
     deadline and returns the newest frame that arrived after the action was sent, never an older one. Rewards are 0;
@@ -42,8 +42,9 @@ class D455Env(gym.Env[Any, Any]):
     If the camera fails, the episode ends with ``truncated``, ``info["camera_error"]`` contains the reason, the images
     are black, the robot has been stopped, and the next ``reset`` reconnects. Likewise ``info["robot_error"]``.
 
-    Observation: ``rgb`` ``(H, W, 3)`` uint8, pinhole; ``depth`` ``(H, W)`` uint16 in millimetres, aligned, 0 where
-    unknown; with a robot also ``robot`` ``(A,)`` float32, its commanded position in the units of its ``action_spec``.
+    Observation: ``rgb`` ``(H, W, 3)`` uint8; if the source has depth, ``depth`` ``(H, W)`` uint16 in millimetres,
+    aligned, 0 where unknown, and ``rgb`` is that of a pinhole camera; with a robot also ``robot`` ``(A,)`` float32, its
+    commanded position in the units of its ``action_spec``.
     Action: ``(A,)`` in -1 ... 1, scaled and limited by a ``Guard``; None stands still. Without a robot there is a
     single action, to observe.
 
@@ -52,13 +53,14 @@ class D455Env(gym.Env[Any, Any]):
     passed), and the effects of the guard: ``guard/clipped``, ``guard/capped``, ``guard/boxed``.
 
     Args:
-        source: A source, or a string for ``shape_obs_envs.sources.open_source``: "d455", "d455:SERIAL", FILE.db3,
-            FILE.bag, a folder, an environment's id; "robot" for the robot's own camera.
+        source: A source, or a string for ``shape_obs_envs.sources.open_source``: "d455", "webcam:0", a recording, a
+            video, "module:Class", an environment's id, ...; "robot" for the robot's own camera.
         robot: A robot, or "module:Class"; None to only observe.
         robot_arguments: Keyword arguments of that class.
         rate: Steps per second.
         size: [width, height] of the images in pixels.
         extrinsics: File with the camera's pose in the base frame; see ``shape-obs calibrate base``.
+        depth: Whether to observe depth; True raises an error if the source has none, None observes it if it has.
         timeout: Longest wait for a frame in seconds; after that the camera counts as failed.
         settle: Observe when the motion is over, as a simulator does: an action takes 1 / rate seconds after it was
             sent, and the frame must be ``settle`` seconds later, which compensates for its transport. A step then takes
@@ -70,7 +72,8 @@ class D455Env(gym.Env[Any, Any]):
         render_mode: None or "rgb_array", the last image.
 
     Raises:
-        ValueError: An argument is out of its range, or the source cannot be opened with the arguments.
+        ValueError: An argument is out of its range, or the source cannot be opened with the arguments, or has no depth.
+        SourceError: A recording, whose depth is unknown until it is read, cannot be read.
         TypeError: The robot does not implement the protocol ``shape_obs.robot.Robot``.
         ImportError: The robot's module cannot be imported, or the extra ``realsense`` is not installed.
 
@@ -84,6 +87,7 @@ class D455Env(gym.Env[Any, Any]):
         guarded: The last action after the guard; None if there was none.
         withheld: Why the last action was not sent; empty if it was.
         sent_at: ``time.monotonic()`` after the last action was sent, in seconds.
+        on_sent: Called in each step after the action was sent and before the wait for the next frame.
         seen_at: ``time.monotonic()`` when the last frame was available, in seconds.
         slack: Time in seconds that the last step waited for its deadline; negative if it was late.
     """
@@ -99,6 +103,7 @@ class D455Env(gym.Env[Any, Any]):
         rate: float = 30.0,
         size: Sequence[int] = (640, 480),
         extrinsics: str | None = None,
+        depth: bool | None = None,
         timeout: float = 1.0,
         settle: float | None = None,
         max_age: float = 0.2,
@@ -115,11 +120,11 @@ class D455Env(gym.Env[Any, Any]):
         width, height = (count("size", side, 16, 4096) for side in size)
         self.robot: Robot | None = make_named(robot, "robot", robot_arguments) if isinstance(robot, str) else robot
         self.source = open_frame_source(source, self.robot, (width, height), extrinsics)
-        self._reader = FrameReader(self.source, (width, height), positive("timeout", timeout, "1.0", "seconds"))
-        observed: dict[str, gym.spaces.Space[Any]] = {
-            "rgb": gym.spaces.Box(0, 255, (height, width, 3), np.uint8),
-            "depth": gym.spaces.Box(0, 65535, (height, width), np.uint16),
-        }
+        patience, has_depth = positive("timeout", timeout, "1.0", "seconds"), delivers_depth(self.source, depth)
+        self._reader = FrameReader(self.source, (width, height), patience, has_depth)
+        observed: dict[str, gym.spaces.Space[Any]] = {"rgb": gym.spaces.Box(0, 255, (height, width, 3), np.uint8)}
+        if has_depth:
+            observed["depth"] = gym.spaces.Box(0, 65535, (height, width), np.uint16)
         self.action_space = gym.spaces.Discrete(1)
         self.guard: Guard | None = None
         self._reach: gym.spaces.Box | None = None
@@ -136,6 +141,7 @@ class D455Env(gym.Env[Any, Any]):
         self.observation_space = gym.spaces.Dict(observed)
         self.sent_at = self.seen_at = time.monotonic()
         self.slack, self.withheld = 0.0, ""
+        self.on_sent: Callable[[], object] = lambda: None
         self.guarded: Guarded | None = None
         self.frame: Frame | None = None
         self._clock = (0.0, time.monotonic())  # stamp of the newest frame, and when it was read
@@ -180,13 +186,12 @@ class D455Env(gym.Env[Any, Any]):
         try:
             self._send(action)
             self.sent_at = time.monotonic()
+            self.on_sent()
             self._accept(self._wait_for_frame())
         except NotConnected:
             raise
-        except SourceError as error:
-            errors["camera_error"] = str(error)
-        except RobotError as error:
-            errors["robot_error"] = str(error)
+        except (SourceError, RobotError) as error:
+            errors["camera_error" if isinstance(error, SourceError) else "robot_error"] = str(error)
         except ValueError:
             self._abandon()
             raise
@@ -215,8 +220,11 @@ class D455Env(gym.Env[Any, Any]):
         return self.rate.dt
 
     @property
-    def camera_model(self) -> CameraModel:
-        """Intrinsics and, if extrinsics are known, pose; nominal intrinsics of a D455 before the first reset."""
+    def camera_model(self) -> CameraModel | None:
+        """Intrinsics and, if extrinsics are known, pose; None if unknown.
+
+        Before the first reset: nominal intrinsics of a D455 if the source has depth.
+        """
         return self._reader.camera
 
     @property

@@ -37,11 +37,36 @@ def open_frame_source(
         if own is None:
             raise ValueError(f"source 'robot': {type(robot).__name__} has no camera; choose one, such as 'd455'.")
         return own()
-    from shape_obs_envs.sources import open_source
+    from shape_obs_envs.sources.opening import open_source, takes_size
 
-    # Only cameras have modes.
-    mode = {"width": size[0], "height": size[1]} if source.split(":")[0] == "d455" else {}
+    mode = {"width": size[0], "height": size[1]} if takes_size(source) else {}
     return open_source(source, extrinsics=extrinsics, **mode)
+
+
+def delivers_depth(source: RGBDSource, wanted: bool | None) -> bool:
+    """Return whether frames will have depth; a source that knows this only once it is connected is connected for it.
+
+    Args:
+        source: The source.
+        wanted: True requires depth, False leaves it out, None takes it if there is any.
+
+    Raises:
+        ValueError: Depth is required, and there is none.
+        SourceError: The source cannot be connected.
+    """
+    if wanted is False:
+        return False
+    try:
+        there = source.has_depth
+    except NotConnected:
+        source.connect()
+        try:
+            there = source.has_depth
+        finally:
+            source.disconnect()
+    if wanted and not there:
+        raise ValueError(f"depth: {source.name} has none; leave depth=True out for features in pixels.")
+    return there
 
 
 class FrameReader:
@@ -51,10 +76,11 @@ class FrameReader:
         source: Source of the frames.
         size: Required size (width, height) in pixels.
         timeout: Longest wait for a frame in seconds.
+        depth: Whether frames must have depth; otherwise depth is left out.
     """
 
-    def __init__(self, source: RGBDSource, size: tuple[int, int], timeout: float) -> None:
-        self.source, self._size, self._timeout = source, size, timeout
+    def __init__(self, source: RGBDSource, size: tuple[int, int], timeout: float, depth: bool = True) -> None:
+        self.source, self._size, self._timeout, self._depth = source, size, timeout, depth
         self._transport: deque[float] = deque(maxlen=_WINDOW)
 
     def exposed(self, frame: Frame, now: float) -> float:
@@ -69,9 +95,19 @@ class FrameReader:
         return arrived if frame.exposed is None else min(frame.exposed, arrived)
 
     def connect(self) -> None:
-        """Connect the source and reset the clock offset."""
+        """Connect the source and reset the clock offset.
+
+        Raises:
+            SourceError: The source cannot be connected.
+            ValueError: It has depth, but no intrinsics.
+        """
         self._transport.clear()
         self.source.connect()
+        if self._depth and self.source.camera is None:
+            raise ValueError(
+                f"{self.source.name} has depth but no intrinsics, without which depth is of no use; make the env with "
+                "depth=False for features in pixels."
+            )
 
     def lag(self, frame: Frame) -> float:
         """Return the delay in seconds of a frame against the fastest recent frame; 0 without a camera clock.
@@ -85,14 +121,16 @@ class FrameReader:
         return self._transport[-1] - min(self._transport)
 
     @property
-    def camera(self) -> CameraModel:
-        """Intrinsics and, if extrinsics are known, pose; nominal intrinsics of a D455 before it is connected."""
+    def camera(self) -> CameraModel | None:
+        """Intrinsics and, if extrinsics are known, pose; None if unknown, as for most webcams.
+
+        Before the source is connected: nominal intrinsics of a D455 if there is depth, else None.
+        """
         try:
-            camera = self.source.camera
+            return self.source.camera
         except NotConnected:
-            camera = None
-        if camera is not None:
-            return camera
+            if not self._depth:
+                return None
         width, height = self._size
         focal = _FOCAL_480 * height / 480
         nominal = Intrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
@@ -104,7 +142,7 @@ class FrameReader:
 
         Raises:
             SourceError: No frame came in time, or the camera is lost.
-            ValueError: The frame has no colour, no depth, or another size.
+            ValueError: The frame has no colour, lacks depth, or has another size.
         """
         until = time.monotonic() + self._timeout
         try:
@@ -124,7 +162,7 @@ class FrameReader:
 
         Raises:
             SourceError: No frame came in time, or the camera is lost.
-            ValueError: The frame has no colour, no depth, or another size.
+            ValueError: The frame has no colour, lacks depth, or has another size.
         """
         until = time.monotonic() + self._timeout
         frame = self.frame_after(moment)
@@ -135,17 +173,21 @@ class FrameReader:
         return frame
 
     def images(self, frame: Frame | None) -> dict[str, npt.NDArray[Any]]:
-        """Return ``rgb`` and ``depth`` (millimetres) of a frame; black images for None, not old ones."""
+        """Return ``rgb`` and, if there is any, ``depth`` (millimetres) of a frame; black images for None."""
         width, height = self._size
-        if frame is None or frame.rgb is None or frame.depth is None:
-            return {"rgb": np.zeros((height, width, 3), np.uint8), "depth": np.zeros((height, width), np.uint16)}
-        return {"rgb": frame.rgb, "depth": _millimetres(frame.depth)}
+        rgb = np.zeros((height, width, 3), np.uint8) if frame is None or frame.rgb is None else frame.rgb
+        if not self._depth:
+            return {"rgb": rgb}
+        if frame is None or frame.depth is None:
+            return {"rgb": rgb, "depth": np.zeros((height, width), np.uint16)}
+        return {"rgb": rgb, "depth": _millimetres(frame.depth)}
 
     def _checked(self, frame: Frame) -> Frame:
         width, height = self._size
-        if frame.rgb is None or frame.depth is None:
+        if frame.rgb is None or (self._depth and frame.depth is None):
             raise ValueError(
-                f"{self.source.name} has no {'colour' if frame.rgb is None else 'depth'}; expected an RGB-D source."
+                f"{self.source.name}: a frame has no {'colour' if frame.rgb is None else 'depth'}, which the env "
+                "observes."
             )
         if frame.size != (height, width):
             seen = frame.size or (0, 0)

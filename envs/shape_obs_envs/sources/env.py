@@ -15,9 +15,11 @@ from gymnasium import spaces
 from shape_obs.camera import CameraModel
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
+from shape_obs.recording import RobotInfo, Transition
 from shape_obs.source import SourceError
 from shape_obs.wrappers import env_protocol
 from shape_obs.wrappers.shape_observation import Images
+from shape_obs_envs.sources.env_steps import EnvSteps
 from shape_obs_envs.sources.sequence import SequenceSource
 
 Actions = Literal["zero", "random"] | Callable[[Any], Any]
@@ -39,6 +41,10 @@ class EnvSource(SequenceSource):
         rgb_key: Key of the image in the observation, default ``"rgb"``.
         depth_key: Key of the depth image, in uint16 millimetres or floating-point metres; default ``"depth"`` if any.
         **options: Arguments of ``gymnasium.make``, for an id.
+
+    Attributes:
+        transition: The step that led to the last frame: its action, reward and end; None before the first frame.
+        state: ``(S,)`` vectors of the last observation, such as poses of grippers; None if it has none.
 
     Raises:
         SourceError: By ``connect``: the environment cannot be made, or its observation has no image.
@@ -71,6 +77,8 @@ class EnvSource(SequenceSource):
         self._actions, self._seed = actions, seed
         self._env: gym.Env[Any, Any] | None = None
         self._episode = 0
+        self.transition: Transition | None = None
+        self.state: tuple[float, ...] | None = None
 
     @property
     def has_depth(self) -> bool:
@@ -82,6 +90,12 @@ class EnvSource(SequenceSource):
     def anchors(self) -> Mapping[str, Sequence[float]]:
         """Where the object is held: name -> base-frame point (x, y, z) in metres, or pixel (u, v)."""
         return {name: tuple(point) for name, point in env_protocol.anchors(self._connected_env()).items()}
+
+    @property
+    def robot_info(self) -> RobotInfo:
+        """Names of the values of actions and states."""
+        self._check_connected()
+        return self._steps.info
 
     @property
     def episode(self) -> int:
@@ -102,6 +116,7 @@ class EnvSource(SequenceSource):
         if self._seed is not None:
             env.action_space.seed(self._seed)
         self._env, self._connected = env, True
+        self._steps, self.transition, self.state = EnvSteps(env, self.name), None, None
         self._dt = env_protocol.seconds_per_step(env)
         self._number, self._episode, self._over = 0, -1, True
         self._observation: Any = None
@@ -118,10 +133,16 @@ class EnvSource(SequenceSource):
         if self._over:
             self._episode += 1
             self._observation, info = env.reset(seed=self._seed if self._episode == 0 else None)
-            self._over = False
+            self._over, self.transition = False, Transition(0)
         else:
-            self._observation, _, terminated, truncated, info = env.step(self._action(env))
+            action = self._action(env)
+            self._observation, reward, terminated, truncated, info = env.step(action)
             self._over = bool(terminated or truncated)
+            last = 0 if self.transition is None else self.transition.step
+            self.transition = Transition(
+                last + 1, self._steps.action(action), float(reward), bool(terminated), bool(truncated)
+            )
+        self.state = self._steps.state(self._observation)
         rgb, depth = self._images.read(self._observation)
         frame = Frame(
             np.array(rgb),  # environments may reuse their buffers

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any, Final
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import Intrinsics
 from shape_obs_envs.sources.depth_reprojection import DepthReprojection, Metres, check_pose
+from shape_obs_envs.sources.rectification import Rectification, remap, remap_maps
 
 Images = tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint16]]
-Maps = tuple[npt.NDArray[np.int16], npt.NDArray[np.uint16]]
 _MILLIMETRE: Final = 0.001
 
 
@@ -59,8 +57,8 @@ class Registration:
         depth_unit: float = _MILLIMETRE,
     ) -> None:
         self.colour, self.depth, self.depth_unit = colour, depth, _check_unit(depth_unit)
-        self.output = replace(colour, model="pinhole", coeffs=(0.0,) * 5)
-        self._maps = _remap_maps(self.output, colour) if colour.distorted else None
+        self._rectification = Rectification.of(colour)
+        self.output = self._rectification.output
         self._reproject = DepthReprojection(depth, self.output, rotation, translation, _MILLIMETRE)
 
     def __call__(self, colour_raw: npt.NDArray[np.uint8], depth_raw: npt.NDArray[np.uint16]) -> Images:
@@ -82,7 +80,8 @@ class Registration:
     def rectify(self, colour_raw: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         """Rectify a raw colour image of shape ``(H, W, 3)``."""
         colour_raw = _check_image(colour_raw, "colour_raw", (*self.colour.size, 3), np.uint8)
-        return colour_raw.copy() if self._maps is None else _remap(colour_raw, self._maps)
+        rectified = self._rectification.colour(colour_raw)
+        return rectified.copy() if rectified is colour_raw else rectified
 
     def align(self, depth_raw: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint16]:
         """Align a raw depth image of shape ``(H, W)``; the result is in millimetres."""
@@ -125,7 +124,7 @@ class RawImages:
                 )
         self.camera, self.colour, self.depth = camera, colour, depth
         rotation, translation = check_pose(rotation, translation)
-        self._maps = _remap_maps(colour, camera)
+        self._maps = remap_maps(colour, camera)
         self._reproject = DepthReprojection(
             camera, depth, rotation.T, -rotation.T @ translation, _check_unit(depth_unit)
         )
@@ -149,7 +148,7 @@ class RawImages:
         floating = np.issubdtype(np.asarray(depth).dtype, np.floating)
         depth = _check_image(depth, "depth", self.camera.size, np.asarray(depth).dtype if floating else np.uint16)
         metres = depth.astype(np.float32) if floating else _in_metres(depth, _MILLIMETRE)
-        return _remap(rgb, self._maps), self._reproject(np.ascontiguousarray(metres))
+        return remap(rgb, self._maps), self._reproject(np.ascontiguousarray(metres))
 
 
 def _check_unit(depth_unit: float) -> float:
@@ -170,16 +169,3 @@ def _check_image(image: Any, name: str, shape: tuple[int, ...], dtype: Any) -> n
 
 def _in_metres(depth: npt.NDArray[np.uint16], unit: float) -> Metres:
     return np.multiply(depth, np.float32(unit), dtype=np.float32, order="C")
-
-
-def _remap_maps(target: Intrinsics, source: Intrinsics) -> Maps:
-    """Return OpenCV's fixed-point maps from each target pixel to the source pixel on the same ray."""
-    pixels = np.stack(np.meshgrid(np.arange(target.width), np.arange(target.height)), axis=-1)
-    at = source.project(target.rays(pixels)).astype(np.float32)
-    whole, fraction = cv2.convertMaps(at[..., 0], at[..., 1], cv2.CV_16SC2)
-    return np.asarray(whole, np.int16), np.asarray(fraction, np.uint16)
-
-
-def _remap(image: npt.NDArray[np.uint8], maps: Maps) -> npt.NDArray[np.uint8]:
-    """Sample an image at the maps; black outside it."""
-    return np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), np.uint8)

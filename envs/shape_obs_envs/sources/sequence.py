@@ -16,7 +16,7 @@ import numpy as np
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
-from shape_obs.recording import Recording
+from shape_obs.recording import Recording, RobotInfo, Transition
 from shape_obs.recording.format import CAMERA_FILE, FRAMES_FILE
 from shape_obs.source import BadRecording, EndOfSource, NotConnected, Source
 from shape_obs.utils.arrays import read_image
@@ -99,6 +99,12 @@ class FolderSource(SequenceSource):
         extrinsics: See ``Source``; overrides the recorded pose of the camera.
         frames: ``(first, count)`` of a part, such as an episode; None for all frames.
 
+    Attributes:
+        anchors: Where the object was held in the last frame that was read; empty if unknown.
+        episode: Episode of the last frame that was read.
+        transition: The recorded step that led to the last frame that was read; None if there is none.
+        state: ``(S,)`` recorded state of the robot in that frame; None if there is none.
+
     Raises:
         ValueError: ``frames`` is invalid.
         BadRecording: By ``connect``: the folder does not exist, is empty or unreadable, or has fewer frames than
@@ -124,8 +130,10 @@ class FolderSource(SequenceSource):
         self._part = frames
         self._frames: Recording | Sequence[Path] = ()
         self._left = range(0)
-        self._anchors: Mapping[str, Sequence[float]] = {}
-        self._episode = 0
+        self.anchors: Mapping[str, Sequence[float]] = {}
+        self.episode = 0
+        self.transition: Transition | None = None
+        self.state: tuple[float, ...] | None = None
 
     def __len__(self) -> int:
         """Return the total number of frames to read; 0 before ``connect``."""
@@ -148,14 +156,9 @@ class FolderSource(SequenceSource):
         return self._frames.serial if isinstance(self._frames, Recording) else None
 
     @property
-    def anchors(self) -> Mapping[str, Sequence[float]]:
-        """Where the object was held in the last frame that was read; empty if unknown."""
-        return self._anchors
-
-    @property
-    def episode(self) -> int:
-        """Episode of the last frame that was read."""
-        return self._episode
+    def robot_info(self) -> RobotInfo | None:
+        """Names of the values of the recorded actions and states; None if there are none."""
+        return self._frames.robot if isinstance(self._frames, Recording) else None
 
     def connect(self) -> None:
         """Open the folder and start at its first frame."""
@@ -171,9 +174,11 @@ class FolderSource(SequenceSource):
             photos = (path for path in self.path.iterdir() if path.suffix.lower() in PHOTOS and path.is_file())
             self._frames = sorted(photos, key=_natural_order)
             if not self._frames:
+                bags = any(path.suffix in (".mcap", ".db3") for path in self.path.iterdir())
+                hint = " For a rosbag2 without its metadata.yaml run `ros2 bag reindex`." if bags else ""
                 raise BadRecording(
                     f"{self.path}: expected a recording ({CAMERA_FILE}, {FRAMES_FILE}, rgb/) or images "
-                    f"({', '.join(PHOTOS)}), found neither."
+                    f"({', '.join(PHOTOS)}), found neither.{hint}"
                 )
         first, count = self._part or (0, len(self._frames))
         if first + count > len(self._frames):
@@ -181,7 +186,7 @@ class FolderSource(SequenceSource):
                 f"{self.path}: frames {first} ... {first + count - 1} were requested, there are {len(self._frames)}."
             )
         self._left = range(first, first + count)
-        self._anchors, self._episode = {}, 0
+        self.anchors, self.episode, self.transition, self.state = {}, 0, None, None
         self._connected = True
 
     def seek(self, index: int) -> None:
@@ -204,7 +209,7 @@ class FolderSource(SequenceSource):
             raise EndOfSource(f"{self.path}: end of its {len(self)} frames.")
         at = self._left[0]
         if isinstance(self._frames, Recording):
-            frame, self._anchors, self._episode = self._frames[at]
+            frame, self.anchors, self.episode, self.transition, self.state = self._frames[at]
             frame = replace(frame, camera=self._with_extrinsics(frame.camera))
         else:
             frame = _read_photo(self._frames[at], at)

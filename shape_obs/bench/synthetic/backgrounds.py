@@ -33,7 +33,7 @@ def background(rng: np.random.Generator, ground: Ground, size: tuple[int, int]) 
         grain = 0.07 * rings[..., :1] + 0.06 * _noise(rng, size, (60, 3))
         picture = brown * (1 + grain)
         if rng.integers(2):
-            picture = np.ascontiguousarray(cv2.rotate(_resized(picture, size[::-1]), cv2.ROTATE_90_CLOCKWISE))
+            picture = cv2.rotate(cv2.resize(picture, size), cv2.ROTATE_90_CLOCKWISE)
     elif ground == "concrete":
         rough = sum(_noise(rng, size, (s, s)) * a for s, a in ((96, 0.06), (24, 0.05), (6, 0.05), (2, 0.06)))
         picture = np.full(3, base.mean(), np.float32) * (1 + rough) + base - base.mean()
@@ -42,7 +42,7 @@ def background(rng: np.random.Generator, ground: Ground, size: tuple[int, int]) 
     elif ground == "checks":
         picture = _checks(rng, size, base)
     else:
-        picture = base * (1 + 0.04 * _noise(rng, size, (48, 48)))
+        picture = np.asarray(base * (1 + 0.04 * _noise(rng, size, (48, 48))), np.float32)
         _clutter(rng, picture)
     return np.clip(picture, 0, 255).astype(np.float32)
 
@@ -60,10 +60,6 @@ def _noise(rng: np.random.Generator, size: tuple[int, int], grain: tuple[int, in
     return np.asarray(field / max(float(field.std()), 1e-6), np.float32)[..., None]
 
 
-def _resized(picture: npt.NDArray[np.float32], size: tuple[int, int]) -> Image:
-    return np.asarray(cv2.resize(picture, size[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
-
-
 def _weave(rng: np.random.Generator, size: tuple[int, int], base: Image) -> Image:
     rows, columns = np.mgrid[: size[0], : size[1]].astype(np.float32)
     pitch, angle = rng.uniform(3, 9), rng.uniform(0, np.pi)
@@ -71,7 +67,7 @@ def _weave(rng: np.random.Generator, size: tuple[int, int], base: Image) -> Imag
     v = (rows * np.cos(angle) - columns * np.sin(angle)) * 2 * np.pi / pitch
     threads = rng.uniform(0.04, 0.12) * np.sin(u) * np.sign(np.sin(v)) + 0.04 * _noise(rng, size, (3, 3))[..., 0]
     folds = rng.uniform(0.03, 0.12) * _noise(rng, size, (220, 120))[..., 0]
-    return base * (1 + threads + folds).astype(np.float32)[..., None]
+    return np.asarray(base * (1 + threads + folds)[..., None], np.float32)
 
 
 def _mat(rng: np.random.Generator, size: tuple[int, int]) -> Image:
@@ -95,7 +91,8 @@ def _checks(rng: np.random.Generator, size: tuple[int, int], base: Image) -> Ima
     v = (rows * np.cos(angle) - columns * np.sin(angle)) / pitch
     other = np.clip(base + rng.choice([-1, 1]) * rng.uniform(25, 60) + rng.normal(0, 10, 3), 10, 245)
     odd = ((np.floor(u) + np.floor(v)) % 2)[..., None]
-    return ((base * (1 - odd) + other * odd) * (1 + 0.03 * _noise(rng, size, (4, 4)))).astype(np.float32)
+    colours = base * (1 - odd) + other * odd
+    return np.asarray(colours * (1 + 0.03 * _noise(rng, size, (4, 4))), np.float32)
 
 
 def _clutter(rng: np.random.Generator, picture: Image) -> None:

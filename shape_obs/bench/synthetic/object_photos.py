@@ -6,6 +6,7 @@ light that falls off, highlights, a white balance that is off, noise, and the co
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
@@ -70,10 +71,11 @@ def object_photo(rng: np.random.Generator, kind: Kind, ground: Ground) -> Object
     return ObjectPhoto(rgb, seen > 0.5, kind, ground, similar and len(colours) > 1)
 
 
-def object_photos(count: int, seed: int) -> list[ObjectPhoto]:
-    """Return ``count`` photos that go through all kinds of objects and grounds."""
+def object_photos(count: int, seed: int) -> Iterator[ObjectPhoto]:
+    """Yield ``count`` photos that go through all kinds of objects and grounds."""
     pairs = [(kind, ground) for ground in GROUNDS for kind in KINDS]
-    return [object_photo(np.random.default_rng([seed, k]), *pairs[k % len(pairs)]) for k in range(count)]
+    for k in range(count):
+        yield object_photo(np.random.default_rng([seed, k]), *pairs[k % len(pairs)])
 
 
 def _strands(rng: np.random.Generator, kind: Kind, light: Array) -> Relief:
@@ -208,7 +210,7 @@ def _photographed(rng: np.random.Generator, surface: Relief, scene: Field, light
     picture += rng.normal(0, rng.uniform(1, 5), picture.shape)
     rgb = np.clip(np.round(picture), 0, 255).astype(np.uint8)
     packed = cv2.imencode(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(60, 97))])[1]
-    return np.ascontiguousarray(cv2.imdecode(packed, cv2.IMREAD_COLOR)[..., ::-1])
+    return np.ascontiguousarray(np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR), np.uint8)[..., ::-1])
 
 
 def _shadows(rng: np.random.Generator, surface: Relief, light: Array) -> Field:

@@ -27,7 +27,8 @@ class Arguments:
     """
 
     source: Annotated[str, Option("SOURCE", "source", check=check_source)]
-    """d455[:serial], FILE.db3, FILE.bag, a folder, a video file, or the id of an environment."""
+    """A camera (d455[:serial], d435, webcam:0, module:Class), a recording (FILE.db3, FILE.bag, FILE.mcap, a folder, a
+    video file) or the id of an environment."""
     touches: Annotated[Path | None, Option("FILE", "touch", existing="file of touches")] = None
     """A CSV file with the header marker,corner,x,y,z, or a JSON list of such objects; metres, base frame."""
     out: Annotated[Path, Option("FILE", "output", "-o")] = Path("extrinsics.json")

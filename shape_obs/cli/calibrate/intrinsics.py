@@ -28,7 +28,8 @@ class Arguments:
     """
 
     source: Annotated[str, Option("SOURCE", "source", check=check_source)]
-    """d455[:serial], FILE.db3, FILE.bag, a folder, a video file, or the id of an environment."""
+    """A camera (d455[:serial], d435, webcam:0, module:Class), a recording (FILE.db3, FILE.bag, FILE.mcap, a folder, a
+    video file) or the id of an environment."""
     out: Annotated[Path, Option("FILE", "output", "-o")] = Path("intrinsics.json")
     """File for the result."""
     views: Annotated[int, Option("N", "source", least=1)] = 20

@@ -119,7 +119,7 @@ def check_numbers(value: Any, what: str, name: str = "") -> None:
 
 
 def check_configuration(arguments: Mapping[str, Any], what: str) -> None:
-    """Refuse arguments of a ``ShapeObservation`` that are invalid, name a plugin, or ask for too much.
+    """Refuse arguments of a ``ShapeObservation`` that are invalid, name a plugin or code, or ask for too much.
 
     A kind of another package is known if that package has been imported.
 
@@ -139,6 +139,8 @@ def check_configuration(arguments: Mapping[str, Any], what: str) -> None:
     with without_plugins():
         config = DetectorConfig.from_dict({name: arguments[name] for name in given})
         features = read_features(arguments.get("features") or ())
+    for path in config.code_paths:
+        raise needs_trust(_names_code(what, path))
     shapes = config.shapes
     counts = [shape.layout.size for shape in shapes]
     if len(shapes) > MOST_SHAPES or max(counts) > MOST_POINTS or sum(counts) > MOST_POINTS_TOGETHER:
@@ -165,7 +167,13 @@ def check_goal(arguments: Mapping[str, Any], what: str) -> None:
         # The goal of one shape, or a mapping from the names of shapes to their goals.
         for each in [goal, *goal.values()] if isinstance(goal, Mapping) else []:
             if isinstance(each, Mapping) and each.get("configuration") is not None:
-                Configuration.from_dict(each["configuration"])
+                rule = Configuration.from_dict(each["configuration"]).segmentation
+                if rule is not None and rule.code_path:
+                    raise needs_trust(_names_code(what, rule.code_path))
+
+
+def _names_code(what: str, path: str) -> str:
+    return f"{what}: the segmentation is code to import, {path!r:.100}"
 
 
 def _is_box(value: Any) -> bool:

@@ -276,9 +276,9 @@ def test_a_word_opens_what_it_names(photos, video):
     [
         ("none/at/all", {}, BadRecording, "none/at/all: no such file or folder"),
         *((f"none.{suffix}", {}, BadRecording, f"none.{suffix}: no such file") for suffix in ("db3", "bag", "mp4")),
-        ("notes.txt", {}, BadRecording, "expected .db3, .bag, .mp4, .* or a folder, got '.txt'"),
+        ("notes.txt", {}, BadRecording, "expected .db3, .bag, .mcap, .mp4, .* or a folder, got '.txt'"),
         ("shot1.png", {}, BadRecording, "or a folder, got '.png'; for photos give the folder that contains them"),
-        ("d456", {}, CameraNotFound, "'d456' is not a camera, path or environment; did you mean 'd455'"),
+        ("d45", {}, CameraNotFound, "'d45' is not a camera, path, class or environment; did you mean 'd4"),
         ("ShapeObs/Cabel-v0", {}, SourceError, "not registered.*did you mean 'ShapeObs/Cable-v0'"),
         (".", {"width": 640}, ValueError, "width are settings of a camera"),
         (".", {"exposure": 3}, ValueError, r"a FolderSource does not take \['exposure'\]"),

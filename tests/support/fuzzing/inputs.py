@@ -93,8 +93,9 @@ class _Log(NamedTuple):
         """Record warnings and undeclared exceptions; a declared exception ends the block silently."""
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            # Declared: the scene is larger than the bounds of the features.
+            # Declared: the scene is larger than the bounds of the features, or its depth is in a wrong unit.
             warnings.filterwarnings("ignore", message="features: .* values lie outside their bounds")
+            warnings.filterwarnings("ignore", message="(depth|cloud): the object is")
             try:
                 yield
             except Exception as error:  # noqa: BLE001

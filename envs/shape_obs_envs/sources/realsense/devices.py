@@ -6,6 +6,7 @@ All that differs between the three is here.
 from __future__ import annotations
 
 import contextlib
+import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -18,6 +19,9 @@ from shape_obs_envs.sources.realsense.driver import Identity, librealsense, plug
 if TYPE_CHECKING:
     from shape_obs_envs.sources.realsense.software import SoftwareD455
 
+_LOG: Final = logging.getLogger(__name__)
+#: The model that stands for any camera of the D400 series.
+ANY_MODEL: Final = "d400"
 #: Framesets queued inside librealsense while Python is busy. It stops streaming when more than 16 are held.
 _QUEUED: Final = 8
 #: Milliseconds without a frame after which the end of a recording is checked.
@@ -63,24 +67,25 @@ class UsbCamera:
 
     Args:
         serial: Serial number; None for the only camera.
+        model: Which of several cameras to use, such as ``"d435"``; ``"d400"`` for any. A single camera is used
+            whatever its model.
     """
 
-    kind = "d455"
     latency: float | None = None
     live = True
 
-    def __init__(self, serial: str | None) -> None:
-        self._serial = serial
+    def __init__(self, serial: str | None, model: str = "d455") -> None:
+        self._serial, self.kind = serial, model
 
     @property
     def name(self) -> str:
-        """``"d455"`` or ``"d455:SERIAL"``."""
-        return "d455" if self._serial is None else f"d455:{self._serial}"
+        """The model, such as ``"d455"``, or ``"d455:SERIAL"``."""
+        return self.kind if self._serial is None else f"{self.kind}:{self._serial}"
 
     def find(self) -> Any:
         """Look up the camera among those on USB."""
         # Starting a pipeline without looking first would wait 15 s for a camera to be plugged in.
-        return _choose(listed_cameras(), self._serial, plugged_cameras())
+        return _choose(listed_cameras(), self._serial, plugged_cameras(), self.kind)
 
     def start(self, pipeline: Any, config: Any, handle: Any) -> tuple[Any, Take]:
         """Start with a queue inside librealsense, which keeps receiving frames while Python is busy."""
@@ -215,15 +220,22 @@ def _start_queued(pipeline: Any, config: Any, handle: Any) -> tuple[Any, Take]:
     return profile, take
 
 
-def _choose(devices: Sequence[Any], serial: str | None, plugged: Sequence[str]) -> Any:
+def _choose(devices: Sequence[Any], serial: str | None, plugged: Sequence[str], model: str = ANY_MODEL) -> Any:
     known = [(Identity.of(device), device) for device in devices]
     listed = ", ".join(str(identity) for identity, _ in known)
     if serial is not None:
         known = [(identity, device) for identity, device in known if identity.serial == serial]
+    if len(known) > 1 and model != ANY_MODEL:
+        known = [(who, device) for who, device in known if who.is_model(model)] or known
     if len(known) > 1:
-        raise SeveralCameras(f"Several cameras are connected ({listed}): choose one by its serial number, d455:SERIAL.")
+        raise SeveralCameras(
+            f"Several cameras are connected ({listed}): choose one by its serial number, {model}:SERIAL."
+        )
     if known:
-        return known[0][1]
+        who, device = known[0]
+        if model != ANY_MODEL and not who.is_model(model):
+            _LOG.info("%s is used, though the source is called %s.", who, model)
+        return device
     wanted = "No RealSense camera" if serial is None else f"No camera with the serial number {serial}"
     if listed:
         raise CameraNotFound(f"{wanted} is connected; found: {listed}.", serial=serial)

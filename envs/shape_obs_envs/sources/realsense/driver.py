@@ -114,6 +114,10 @@ class Identity:
         """Whether the camera is on USB 2, where many modes are missing."""
         return self.usb is not None and self.usb.startswith(("1", "2"))
 
+    def is_model(self, model: str) -> bool:
+        """Return whether the camera is of a model, such as ``"d435"``; a D435i is a D435 too."""
+        return f" {model}".lower() in self.name.lower()
+
     def __str__(self) -> str:
         usb = "" if self.usb is None else f" (USB {self.usb})"
         return f"{self.name} {self.serial or 'without a serial number'}{usb}"

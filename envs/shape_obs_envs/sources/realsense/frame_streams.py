@@ -5,11 +5,11 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from typing import Final, Protocol
 
 from shape_obs.source import CameraLost, FrameTimeout, SourceError
+from shape_obs_envs.sources.frame_buffer import FrameBuffer
 from shape_obs_envs.sources.realsense.devices import Device
 from shape_obs_envs.sources.realsense.recovery_policy import RecoveryPolicy
 from shape_obs_envs.sources.realsense.session import RawFrame, Session
@@ -26,7 +26,10 @@ _LOG: Final = logging.getLogger(__name__)
 class FrameStream(Protocol):
     """Raw frames, in order."""
 
-    dropped: int
+    @property
+    def dropped(self) -> int:
+        """Number of frames that were not read in time."""
+        ...
 
     def next(self, timeout: float, after: float | None) -> RawFrame:
         """Return the next frame; see ``RealSenseSource.read``. ``after`` is a ``time.monotonic()`` of exposure."""
@@ -54,7 +57,12 @@ class FileStream:
     """
 
     def __init__(self, session: Session) -> None:
-        self._session, self.dropped = session, 0
+        self._session = session
+
+    @property
+    def dropped(self) -> int:
+        """0: a recording waits for its reader."""
+        return 0
 
     def next(self, timeout: float, after: float | None) -> RawFrame:
         """Return the next frame of the file; ``after`` is ignored."""
@@ -87,9 +95,6 @@ class LiveStream:
         patience: Seconds without a frame after which recovery starts.
         recover_timeout: Seconds without a frame after which the camera counts as lost.
 
-    Attributes:
-        dropped: Number of frames that were not read in time.
-
     Raises:
         SourceError: The first session did not start.
     """
@@ -104,42 +109,32 @@ class LiveStream:
     ) -> None:
         self._patience, self._stopping = patience, threading.Event()
         self._recovery = RecoveryPolicy(device, open_session, recover_timeout, self._stopping)
-        self._frames: deque[RawFrame] = deque(maxlen=capacity)
-        self._changed = threading.Condition()
-        self._newest: RawFrame | None = None
-        self._lost: str | None = None
-        self._last_frame = time.monotonic()
-        self.dropped = 0
+        self._frames: FrameBuffer[RawFrame] = FrameBuffer(capacity)
         self._session: Session | None = open_session()
         self._who = self._session.identity
         self._thread = threading.Thread(target=self._run, name=f"{device.name} reader", daemon=True)
         self._thread.start()
 
+    @property
+    def dropped(self) -> int:
+        """Number of frames that were not read in time."""
+        return self._frames.dropped
+
     def next(self, timeout: float, after: float | None) -> RawFrame:
         """Return the oldest unread frame that was exposed after ``after``."""
-        deadline = time.monotonic() + timeout
-        with self._changed:
-            while True:
-                while self._frames:
-                    raw = self._frames.popleft()
-                    if after is None or raw.exposed >= after:
-                        return raw
-                self._check_not_lost()
-                left = deadline - time.monotonic()
-                if left <= 0:
-                    raise self._timeout_error(timeout)
-                self._changed.wait(left)
+        raw = self._frames.next(timeout, after)
+        if raw is None:
+            raise self._timeout_error(timeout)
+        return raw
 
     def latest(self) -> RawFrame | None:
         """Return the newest frame, whether it was read before or not."""
-        with self._changed:
-            self._check_not_lost()
-            return self._newest
+        return self._frames.latest()
 
     @property
     def over(self) -> bool:
         """Whether the camera was lost."""
-        return self._lost is not None
+        return self._frames.over
 
     def close(self) -> None:
         """Stop the thread and the camera."""
@@ -148,12 +143,8 @@ class LiveStream:
         if self._thread.is_alive():
             _LOG.error("%s: librealsense does not return from stopping the camera; giving up.", self._who)
 
-    def _check_not_lost(self) -> None:
-        if self._lost is not None:
-            raise CameraLost(self._lost, serial=self._who.serial, usb=self._who.usb)
-
     def _timeout_error(self, timeout: float) -> FrameTimeout:
-        silent = time.monotonic() - self._last_frame
+        silent = time.monotonic() - self._frames.last_arrival
         check = None if self._session is None else self._session.check
         refused = f" {check.refused} pairs were refused since: {check.reason}." if check and check.refused else ""
         return FrameTimeout(
@@ -175,31 +166,22 @@ class LiveStream:
             if self._session is not None:
                 self._session.stop()
                 self._session = None
-            with self._changed:
-                self._lost = end
-                self._changed.notify_all()
+            self._frames.end(lambda: CameraLost(end, serial=self._who.serial, usb=self._who.usb))
 
     def _pump(self) -> None:
-        allowed, since = _FIRST * self._patience, self._last_frame
+        allowed, since = _FIRST * self._patience, self._frames.last_arrival
         while not self._stopping.is_set():
             raw = self._session.pull(_SLICE) if self._session is not None else self._pause()
             now = time.monotonic()
             if raw is not None:
-                self._put(raw, now)
+                self._recovery.reset(self._who)
+                self._frames.put(raw)
                 allowed, since = self._patience, now
             elif now - since > allowed or self._session is None:
                 before = self._session
                 self._session = None  # a session that the recovery stops must not be stopped again
-                self._session = self._recovery.next_step(before, now - self._last_frame)
+                self._session = self._recovery.next_step(before, now - self._frames.last_arrival)
                 allowed, since = (1 if self._session is before else _FIRST) * self._patience, time.monotonic()
 
     def _pause(self) -> None:
         self._stopping.wait(_SLICE)
-
-    def _put(self, raw: RawFrame, now: float) -> None:
-        self._recovery.reset(self._who)
-        with self._changed:
-            self.dropped += len(self._frames) == self._frames.maxlen
-            self._frames.append(raw)
-            self._newest, self._last_frame = raw, now
-            self._changed.notify_all()

@@ -11,8 +11,10 @@ from shape_obs.source import SourceError
 from shape_obs_envs.sources.realsense.driver import Identity, librealsense
 
 _LOG: Final = logging.getLogger(__name__)
-#: librealsense counts the colour camera's exposure in this unit of a second.
+#: librealsense counts the colour camera's exposure in this unit of a second. The colour image of a D405 comes from the
+#: depth camera, which counts microseconds.
 _EXPOSURE_UNIT: Final = 1e-4
+_DEPTH_EXPOSURE_UNIT: Final = 1e-6
 PRESETS: Final = ("default", "hand", "high_accuracy", "high_density", "medium_density")
 #: filter -> its parameters and librealsense's option for each
 _FILTERS: Final[dict[str, dict[str, str]]] = {
@@ -88,8 +90,8 @@ class CameraOptions:
                 _set(depth, option.laser_power, self.laser_power, f"laser_power {self.laser_power} mW", who)
         if self.exposure is not None:
             _set(colour, option.enable_auto_exposure, 0, "exposure (automatic control)", who)
-            units = self.exposure / _EXPOSURE_UNIT
-            _set(colour, option.exposure, units, f"exposure {self.exposure} s", who, _EXPOSURE_UNIT)
+            unit = _DEPTH_EXPOSURE_UNIT if _has_stream(colour, "depth") else _EXPOSURE_UNIT
+            _set(colour, option.exposure, self.exposure / unit, f"exposure {self.exposure} s", who, unit)
         if self.gain is not None:
             _set(colour, option.gain, self.gain, f"gain {self.gain}", who)
         if self.white_balance is not None:
@@ -140,14 +142,18 @@ def check_filters(filters: Sequence[Filter]) -> None:
 
 
 def _sensor(device: Any, stream: str, who: Identity) -> Any:
-    wanted = getattr(librealsense().stream, stream)
     for sensor in device.query_sensors():
-        if any(profile.stream_type() == wanted for profile in sensor.get_stream_profiles()):
+        if _has_stream(sensor, stream):
             return sensor
     name = "colour" if stream == "color" else stream
     raise SourceError(
         f"{who} has no {name} camera; expected one with colour and depth.", serial=who.serial, usb=who.usb
     )
+
+
+def _has_stream(sensor: Any, stream: str) -> bool:
+    wanted = getattr(librealsense().stream, stream)
+    return any(profile.stream_type() == wanted for profile in sensor.get_stream_profiles())
 
 
 def _set(sensor: Any, option: Any, value: float, what: str, who: Identity, unit: float = 1.0) -> None:

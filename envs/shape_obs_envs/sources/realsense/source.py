@@ -1,13 +1,15 @@
-"""A source of RGB-D frames from a D455 on USB, a software D455, or a recording."""
+"""A source of RGB-D frames from a D400 camera on USB, a software D455, or a recording."""
 
 from __future__ import annotations
 
 import atexit
 import math
+import re
 import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 from shape_obs.camera import Intrinsics
 from shape_obs.extrinsics import Extrinsics
@@ -20,6 +22,9 @@ from shape_obs_envs.sources.realsense.session import RawFrame, Session, Setup
 from shape_obs_envs.sources.realsense.settings import CameraOptions, Filter, check_filters
 from shape_obs_envs.sources.realsense.software import SoftwareD455
 from shape_obs_envs.sources.registration import Registration
+
+#: The models of cameras that ``RealSenseSource`` reads.
+MODEL: Final = re.compile(r"d4\d\d", re.IGNORECASE)
 
 
 class RealSenseSource(Source):
@@ -41,6 +46,8 @@ class RealSenseSource(Source):
     Args:
         device: A ``SoftwareD455``, or several of which ``serial`` selects one; None for a camera on USB.
         serial: Serial number of the camera; None for the only one.
+        model: Which of several cameras on USB to use: ``"d455"``, ``"d435"``, ``"d405"``, ...; ``"d400"`` for any. A
+            single camera is used whatever its model. It is the source's ``kind``.
         recording: A .db3 or .bag file to read instead of a camera.
         width: Width of both streams in pixels. A recording has its own mode: this and all below is for cameras.
         height: Height of both streams in pixels.
@@ -81,6 +88,7 @@ class RealSenseSource(Source):
         device: SoftwareD455 | Sequence[SoftwareD455] | None = None,
         *,
         serial: str | None = None,
+        model: str = "d455",
         recording: str | Path | None = None,
         width: int = 640,
         height: int = 480,
@@ -104,10 +112,12 @@ class RealSenseSource(Source):
         for name, number in (("buffer", buffer), ("patience", patience), ("recover_timeout", recover_timeout)):
             if not number > 0:
                 raise ValueError(f"{name}: expected more than 0, got {number}.")
+        if not MODEL.fullmatch(model):
+            raise ValueError(f"model: expected a camera of the D400 series, such as 'd455' or 'd435', got {model!r}.")
         check_filters(filters)
         self.options = CameraOptions(exposure, gain, white_balance, laser_power, preset)
         self._setup = Setup(width, height, fps, self.options, tuple(filters), max_gap)
-        self._device = _device(device, serial, recording)
+        self._device = _device(device, serial, recording, model.lower())
         self._record_to = None if record_to is None else Path(record_to)
         self._buffer, self._patience, self._recover_timeout = buffer, patience, recover_timeout
         self.timings: dict[str, float] = {}
@@ -117,7 +127,7 @@ class RealSenseSource(Source):
 
     @property
     def kind(self) -> str:
-        """``"d455"``, ``"software"`` or ``"recording"``."""
+        """The model, such as ``"d455"``; ``"software"`` or ``"recording"``."""
         return self._device.kind
 
     @property
@@ -271,10 +281,13 @@ class RealSenseSource(Source):
 
 
 def _device(
-    device: SoftwareD455 | Sequence[SoftwareD455] | None, serial: str | None, recording: str | Path | None
+    device: SoftwareD455 | Sequence[SoftwareD455] | None,
+    serial: str | None,
+    recording: str | Path | None,
+    model: str,
 ) -> Device:
     if recording is not None:
         return RecordingFile(Path(recording))
     if device is None:
-        return UsbCamera(serial)
+        return UsbCamera(serial, model)
     return SoftwareCameras([device] if isinstance(device, SoftwareD455) else list(device), serial)

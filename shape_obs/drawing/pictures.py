@@ -21,14 +21,14 @@ Colour = tuple[int, int, int]
 VALID: Final[Colour] = (60, 200, 80)
 VISIBLE: Final[Colour] = (255, 170, 0)
 HIDDEN: Final[Colour] = (230, 50, 50)
-_PAPER: Final[Colour] = (255, 255, 255)
+PAPER: Final[Colour] = (255, 255, 255)
 _INK: Final[Colour] = (20, 20, 20)
 # Lines of slots, far from the colours of points and from each other.
 SLOTS: Final[tuple[Colour, ...]] = (
     (0, 90, 200), (215, 60, 180), (0, 190, 215), (245, 225, 50), (120, 50, 170), (140, 85, 30), (250, 250, 250),
     (30, 30, 30),
 )  # fmt: skip
-_STEP: Final = 5  # of a slot's points one in so many has its number
+NUMBERED: Final = 5  # of a slot's points, one in so many shows its number
 _HALF: Final = 12.0  # pixels: half the stroke of the upper strand of a crossing
 _ANTIALIASED: Final = cv2.LINE_AA
 _SHIFT: Final = 4
@@ -64,7 +64,7 @@ def draw_detection(
     for crossing in detection.crossings:
         _draw_crossing(picture, crossing, detection, scale, slots)
     for shape in detection:
-        _draw_points(picture, shape, scale, _STEP if shape.name in slots else 1)
+        _draw_points(picture, shape, scale, NUMBERED if shape.name in slots else 1)
     for shape in detection:
         if shape.name in slots and np.isfinite(shape.pixels[0]).all():
             u, v = _enlarged(shape.pixels[:1], scale)[0].tolist()
@@ -90,6 +90,12 @@ def slot_colours(detection: Detection) -> dict[str, Colour]:
     return {name: SLOTS[k % len(SLOTS)] for k, name in enumerate(names)}
 
 
+def point_colours(shape: Shape) -> list[Colour]:
+    """Return the colour of each point: green for valid, orange for visible without depth, red for hidden or held."""
+    flags = zip(shape.valid.tolist(), shape.visible.tolist(), strict=True)
+    return [VALID if valid else VISIBLE if visible else HIDDEN for valid, visible in flags]
+
+
 def draw_shape(picture: Image, shape: Shape, *, scale: int = 1) -> None:
     """Draw one shape in place: its points, and lines between neighbours; nothing where it has no points.
 
@@ -110,17 +116,18 @@ def _draw_lines(picture: Image, shape: Shape, scale: int, colour: Colour | None 
     known: npt.NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=1))
     for first, second in shape.layout.edges():
         if known[first] and known[second]:
-            draw_curve(picture, points[[first, second]], colour or _PAPER, thickness=3 if colour else 1)
+            draw_curve(picture, points[[first, second]], colour or PAPER, thickness=3 if colour else 1)
 
 
 def _draw_points(picture: Image, shape: Shape, scale: int, step: int) -> None:
     """Draw the points of a shape, and the numbers of one in ``step``."""
     points = _enlarged(shape.pixels, scale)
     numbers = points + _number_offsets(points, shape.layout)
+    colours = point_colours(shape)
     for i in np.flatnonzero(np.isfinite(points).all(axis=1)).tolist():
-        colour = VALID if shape.valid[i] else VISIBLE if shape.visible[i] else HIDDEN
+        colour = colours[i]
         centre = _fixed(points[i])
-        cv2.circle(picture, centre, 5 << _SHIFT, _PAPER, -1, _ANTIALIASED, _SHIFT)
+        cv2.circle(picture, centre, 5 << _SHIFT, PAPER, -1, _ANTIALIASED, _SHIFT)
         cv2.circle(picture, centre, 4 << _SHIFT, colour, -1, _ANTIALIASED, _SHIFT)
         if i == 0:
             cv2.circle(picture, centre, 8 << _SHIFT, _INK, 1, _ANTIALIASED, _SHIFT)
@@ -135,7 +142,7 @@ def _draw_crossing(
     centre = _enlarged(np.array(crossing.pixel), scale)
     if crossing.above is None:
         for start in (15, 195):
-            for colour, thickness in ((_PAPER, 4), (_INK, 2)):
+            for colour, thickness in ((PAPER, 4), (_INK, 2)):
                 axes = (10 << _SHIFT, 10 << _SHIFT)
                 cv2.ellipse(
                     picture, _fixed(centre), axes, 0, start, start + 150, colour, thickness, _ANTIALIASED, _SHIFT
@@ -150,8 +157,8 @@ def _draw_crossing(
         return
     along *= _HALF / max(float(np.linalg.norm(along)), 1e-9)
     colour = slots.get(shape.name)
-    draw_curve(picture, np.stack([centre - along, centre + along]), _PAPER if colour else _INK, thickness=11)
-    draw_curve(picture, np.stack([centre - 1.2 * along, centre + 1.2 * along]), colour or _PAPER, thickness=3)
+    draw_curve(picture, np.stack([centre - along, centre + along]), PAPER if colour else _INK, thickness=11)
+    draw_curve(picture, np.stack([centre - 1.2 * along, centre + 1.2 * along]), colour or PAPER, thickness=3)
 
 
 def draw_curve(picture: Image, points: Array, colour: Colour, *, thickness: int = 1) -> None:
@@ -194,6 +201,6 @@ def _number(picture: Image, text: str, centre: Array) -> None:
 def draw_text(picture: Image, text: str, origin: tuple[int, int], colour: Colour = _INK) -> None:
     """Draw small text with a halo in place, its lower left corner at ``origin`` = (u, v)."""
     # Shifted copies, not a bolder one: OpenCV 5 spaces bold letters wider.
-    for du, dv, ink in ((-1, 0, _PAPER), (1, 0, _PAPER), (0, -1, _PAPER), (0, 1, _PAPER), (0, 0, colour)):
+    for du, dv, ink in ((-1, 0, PAPER), (1, 0, PAPER), (0, -1, PAPER), (0, 1, PAPER), (0, 0, colour)):
         place = (origin[0] + du, origin[1] + dv)
         cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.4, ink, 1, _ANTIALIASED)

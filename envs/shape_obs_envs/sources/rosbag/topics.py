@@ -1,0 +1,210 @@
+"""Find the topics of colour, aligned depth and intrinsics in a bag.
+
+Names of the drivers of RealSense, Orbbec, ZED, OAK and Azure Kinect cameras decide only between several candidates:
+what an image shows is read from its encoding, and whether depth is aligned from its frame and size.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable
+from typing import Final, NamedTuple
+
+from shape_obs.source import BadRecording
+from shape_obs.spec import did_you_mean
+from shape_obs_envs.sources.rosbag.bag import CAMERA_INFO, COMPRESSED, IMAGE, Bag
+from shape_obs_envs.sources.rosbag.images import Kind, kind_of, read_colour, read_depth
+
+#: Parts of a topic's name that image_transport adds.
+_TRANSPORTS: Final = ("compressed", "compressedDepth")
+_COLOUR_NAMES: Final = ("color", "colour", "rgb")
+_ALIGNED_NAMES: Final = ("aligned", "registered", "to_color", "to_rgb")
+_RECTIFIED: Final = "rect"
+
+
+class Candidate(NamedTuple):
+    """A topic with images.
+
+    Attributes:
+        topic: The topic.
+        kind: What its images show.
+        frame: The coordinate frame of the camera, ``header.frame_id``.
+        size: ``(H, W)`` of the images.
+    """
+
+    topic: str
+    kind: Kind
+    frame: str
+    size: tuple[int, int]
+
+    @property
+    def base(self) -> str:
+        """The topic without the name of a transport."""
+        head, _, tail = self.topic.rpartition("/")
+        return head if tail in _TRANSPORTS else self.topic
+
+    @property
+    def rectified(self) -> bool:
+        """Whether the name says that the images are rectified."""
+        return _RECTIFIED in self.base.rpartition("/")[2] or f"/{_RECTIFIED}/" in self.base
+
+
+class Topics(NamedTuple):
+    """The chosen topics.
+
+    Attributes:
+        colour: The colour images.
+        depth: The depth images, aligned to colour; None without.
+        info: The ``CameraInfo`` of the colour images; None without.
+    """
+
+    colour: Candidate
+    depth: Candidate | None
+    info: str | None
+
+
+def choose_topics(bag: Bag, color: str | None, depth: str | bool | None, info: str | bool | None) -> Topics:
+    """Choose the topics of a bag.
+
+    Args:
+        bag: The bag.
+        color: The topic of the colour images; None to find it.
+        depth: The topic of the aligned depth images; None to find it, False for none.
+        info: The topic of the intrinsics; None to find it, False for none.
+
+    Raises:
+        BadRecording: There is no colour topic, there are several, or not the given ones; the message lists the topics.
+
+    Warns:
+        UserWarning: There is depth, but it is not aligned to the colour image, or there are no intrinsics.
+    """
+    images = [_candidate(bag, topic) for topic, kind in bag.types.items() if kind in (IMAGE, COMPRESSED)]
+    depths = _one_transport([each for each in images if each.kind == "depth"])
+    colour = _given(bag, images, "color", color) if color else _find_colour(bag, images, depths)
+    chosen = None
+    if depth is None:
+        chosen = _find_depth(bag, depths, colour)
+    elif depth:
+        chosen = _given(bag, images, "depth", str(depth))
+        _check_depth(bag, chosen, colour)
+    if info is None:
+        found = _find_info(bag, colour)
+        if found is None and chosen is not None:
+            _warn(
+                f"{bag.path}: no camera_info of {colour.topic}, so frames have no intrinsics; give its topic as info=."
+            )
+    elif info and bag.types.get(str(info)) != CAMERA_INFO:
+        raise BadRecording(f"{bag.path}: info: no CameraInfo in {info}{_known(bag, str(info), (CAMERA_INFO,))}")
+    else:
+        found = str(info) if info else None
+    return Topics(colour, chosen, found)
+
+
+def _candidate(bag: Bag, topic: str) -> Candidate:
+    message = bag.first(topic)
+    kind, size = kind_of(message), (0, 0)
+    if hasattr(message, "format"):
+        try:
+            size = (read_depth(message) if kind == "depth" else read_colour(message)).shape[:2]
+        except ValueError:  # such as a video codec
+            kind = "other"
+    else:
+        size = int(message.height), int(message.width)
+    return Candidate(topic, kind, message.header.frame_id, size)
+
+
+def _find_colour(bag: Bag, images: list[Candidate], depths: list[Candidate]) -> Candidate:
+    found = [each for each in images if each.kind == "colour"] or [each for each in images if each.kind == "gray"]
+    found = _one_transport(found)
+    if not found:
+        raise BadRecording(f"{bag.path}: no topic with colour images{_known(bag)}")
+    found = _prefer(found, lambda each: any(part in _COLOUR_NAMES for part in each.topic.split("/")))
+    found = _prefer(found, lambda each: any(_is_aligned(depth, each) for depth in depths))
+    found = _prefer(found, lambda each: each.rectified)
+    if len(found) > 1:
+        raise BadRecording(
+            f"{bag.path}: several topics with colour images, {', '.join(each.topic for each in found)}: choose one, "
+            f"--set color={found[0].topic}."
+        )
+    return found[0]
+
+
+def _find_depth(bag: Bag, depths: list[Candidate], colour: Candidate) -> Candidate | None:
+    aligned = [each for each in depths if _is_aligned(each, colour)]
+    aligned = _prefer(aligned, lambda each: any(name in each.topic for name in _ALIGNED_NAMES))
+    aligned = _prefer(aligned, lambda each: each.rectified == colour.rectified)
+    if len(aligned) > 1:
+        raise BadRecording(
+            f"{bag.path}: several topics with depth aligned to {colour.topic}, "
+            f"{', '.join(each.topic for each in aligned)}: choose one, --set depth={aligned[0].topic}."
+        )
+    if depths and not aligned:
+        _warn(
+            f"{bag.path}: depth is left out: {', '.join(each.topic for each in depths)} is not aligned to "
+            f"{colour.topic} (frame {depths[0].frame!r} against {colour.frame!r}, {_pixels(depths[0])} against "
+            f"{_pixels(colour)}). Record depth aligned to colour (RealSense: align_depth.enable:=true, Orbbec: "
+            "depth_registration:=true), or name an aligned topic with --set depth=TOPIC."
+        )
+    return aligned[0] if aligned else None
+
+
+def _check_depth(bag: Bag, depth: Candidate, colour: Candidate) -> None:
+    """Check a depth topic that the user chose."""
+    if depth.size != colour.size:
+        raise BadRecording(
+            f"{bag.path}: {depth.topic} has {_pixels(depth)}, {colour.topic} has {_pixels(colour)}: depth must be "
+            "aligned to colour, pixel by pixel; --set depth=false leaves it out."
+        )
+    if depth.frame != colour.frame:
+        _warn(
+            f"{bag.path}: {depth.topic} is in the frame {depth.frame!r}, {colour.topic} in {colour.frame!r}; it is "
+            "taken as aligned. If it is not, all points in space are wrong."
+        )
+
+
+def _find_info(bag: Bag, colour: Candidate) -> str | None:
+    infos = [topic for topic, kind in bag.types.items() if kind == CAMERA_INFO]
+    for topic in (f"{colour.base.rpartition('/')[0]}/camera_info", f"{colour.base}/camera_info"):
+        if topic in infos:
+            return topic
+    alike = [topic for topic in infos if bag.first(topic).header.frame_id == colour.frame != ""]
+    return alike[0] if len(alike) == 1 else None
+
+
+def _given(bag: Bag, images: list[Candidate], name: str, topic: str) -> Candidate:
+    for each in images:
+        if each.topic == topic and (each.kind == "depth") == (name == "depth") and each.kind != "other":
+            return each
+    raise BadRecording(f"{bag.path}: {name}: no such images in {topic}{_known(bag, topic)}")
+
+
+def _is_aligned(depth: Candidate, colour: Candidate) -> bool:
+    return depth.size == colour.size and depth.frame == colour.frame
+
+
+def _one_transport(found: list[Candidate]) -> list[Candidate]:
+    """Return one topic of each image: the raw one if there is one."""
+    best: dict[str, Candidate] = {}
+    for each in sorted(found, key=lambda each: each.topic != each.base):
+        best.setdefault(each.base, each)
+    return list(best.values())
+
+
+def _prefer(found: list[Candidate], condition: Callable[[Candidate], bool]) -> list[Candidate]:
+    """Return those that meet a condition, or all if none does."""
+    return [each for each in found if condition(each)] or found
+
+
+def _known(bag: Bag, topic: str | None = None, types: Iterable[str] = (IMAGE, COMPRESSED)) -> str:
+    if topic is not None:
+        return did_you_mean(topic, [name for name, kind in bag.types.items() if kind in types])
+    listed = ", ".join(f"{name} ({kind})" for name, kind in sorted(bag.types.items()))
+    return f"; it has {listed or 'no messages'}."
+
+
+def _pixels(candidate: Candidate) -> str:
+    return f"{candidate.size[1]} x {candidate.size[0]} pixels"
+
+
+def _warn(text: str) -> None:
+    warnings.warn(text, UserWarning, stacklevel=5)

@@ -1,0 +1,16 @@
+"""Show detections to people: pictures with numbered points, and logs for the rerun viewer."""
+
+from shape_obs.drawing.pictures import HIDDEN as HIDDEN
+from shape_obs.drawing.pictures import SLOTS as SLOTS
+from shape_obs.drawing.pictures import VALID as VALID
+from shape_obs.drawing.pictures import VISIBLE as VISIBLE
+from shape_obs.drawing.pictures import Colour as Colour
+from shape_obs.drawing.pictures import Image as Image
+from shape_obs.drawing.pictures import draw_curve as draw_curve
+from shape_obs.drawing.pictures import draw_detection as draw_detection
+from shape_obs.drawing.pictures import draw_shape as draw_shape
+from shape_obs.drawing.pictures import draw_text as draw_text
+from shape_obs.drawing.pictures import point_colours as point_colours
+from shape_obs.drawing.pictures import slot_colours as slot_colours
+from shape_obs.drawing.rerun_log import RerunLog as RerunLog
+from shape_obs.drawing.rerun_loop import log_rerun as log_rerun

@@ -1,0 +1,254 @@
+"""Log detections, images and features to the rerun viewer: https://rerun.io."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
+from shape_obs.drawing.pictures import NUMBERED, PAPER, Image, point_colours, slot_colours
+from shape_obs.drawing.rerun_layout import IMAGE, LOG, PLOTS, WORLD, layout
+from shape_obs.frame import FARTHEST, MILLIMETRE, Frame, check_mask
+from shape_obs.shape import Detection, Shape
+
+Flags = npt.NDArray[np.bool_]
+Features = Mapping[str, "Mapping[str, float] | npt.ArrayLike"]
+
+_JPEG_QUALITY: Final = 85
+_UNIX_TIME: Final = 1e9  # seconds; larger stamps are times since 1970, smaller ones since some start
+_FILL: Final = 0.3  # of a point of the depth cloud, so that points of the shape inside the object are seen through it
+_MASK: Final = ((0, "background", (0, 0, 0, 0)), (1, "object", (60, 200, 80, 90)))
+_GOAL: Final = (235, 130, 40)
+# Negative radii are in pixels of the screen.
+_POINT, _FIRST, _LINE = -4.0, -6.0, -1.5
+
+
+def import_rerun() -> Any:
+    """Return the module ``rerun``.
+
+    Raises:
+        ImportError: It is not installed.
+    """
+    try:
+        import rerun
+    except ImportError as error:
+        raise ImportError("the rerun viewer needs rerun-sdk: pip install 'shape-obs[rerun]'") from error
+    return rerun
+
+
+class RerunLog:
+    """Log the frames of one recording stream, and remember what rerun needs only once.
+
+    Args:
+        recording: The ``rerun.RecordingStream``; None if it is set before each call of ``log``.
+        blueprint: Whether to arrange the viewer.
+
+    Attributes:
+        recording: The stream.
+
+    Raises:
+        ImportError: rerun is not installed.
+    """
+
+    def __init__(self, recording: Any, *, blueprint: bool = True) -> None:
+        self._rr = import_rerun()
+        self.recording = recording
+        self._blueprint = blueprint
+        self._frames = 0
+        self._explained = False  # the colours of the mask
+        self._views: frozenset[str] = frozenset()
+        self._camera: CameraModel | None = None
+        self._series: dict[str, tuple[str, ...]] = {}
+        self._texts: dict[str, str] = {}
+
+    def log(
+        self,
+        detection: Detection | None,
+        rgb: Image | None = None,
+        depth: npt.NDArray[Any] | None = None,
+        camera: CameraModel | Intrinsics | None = None,
+        *,
+        mask: npt.NDArray[Any] | None = None,
+        features: Features | None = None,
+        number: int | None = None,
+        stamp: float | None = None,
+        goals: Sequence[npt.NDArray[Any]] = (),
+        notes: Mapping[str, str] | None = None,
+    ) -> None:
+        """Log a frame as ``shape_obs.log_rerun`` does.
+
+        Args:
+            detection: What was found; None logs only the images.
+            rgb: As for ``log_rerun``.
+            depth: As for ``log_rerun``.
+            camera: As for ``log_rerun``.
+            mask: As for ``log_rerun``.
+            features: As for ``log_rerun``.
+            number: As for ``log_rerun``.
+            stamp: Seconds, for a frame without detection; a detection has its own.
+            goals: Curves of ``(K, 2)`` pixels.
+            notes: Texts by their subject, logged when they change; empty if all is well.
+
+        Raises:
+            TypeError: An image has another dtype.
+            ValueError: An image has another shape or size.
+        """
+        frame = Frame(rgb, depth, as_camera_model(camera))
+        region = None if mask is None else check_mask(mask, frame)
+        self._set_time(number, stamp if detection is None else detection.stamp)
+        self._arrange(frame, detection, features)
+        self._log_camera(frame.camera)
+        self._log_images(frame, region)
+        if goals:
+            self._log(f"{IMAGE}/goals", self._rr.LineStrips2D(list(goals), colors=_GOAL, radii=_LINE))
+        if detection is not None:
+            self._log_detection(detection)
+        for name, values in (features or {}).items():
+            self._log_feature(name, values)
+        for subject, text in (notes or {}).items():
+            self._note(subject, text, "INFO")
+
+    def _log(self, path: str, what: Any, static: bool = False) -> None:
+        self.recording.log(path, what, static=static)
+
+    def _set_time(self, number: int | None, stamp: float | None) -> None:
+        self.recording.set_time("frame", sequence=self._frames if number is None else number)
+        self._frames += 1
+        if stamp is not None:
+            if stamp > _UNIX_TIME:
+                self.recording.set_time("stamp", timestamp=stamp)
+            else:
+                self.recording.set_time("stamp", duration=stamp)
+
+    def _arrange(self, frame: Frame, detection: Detection | None, features: Features | None) -> None:
+        """Send a blueprint with views of what is logged; again when there is more to see."""
+        seen = {
+            "image": frame.size is not None,
+            "space": frame.depth is not None or any(shape.points3d is not None for shape in detection or ()),
+            "detection": detection is not None,
+            "features": bool(features),
+        }
+        views = self._views | {name for name, there in seen.items() if there}
+        if self._blueprint and views != self._views:
+            self.recording.send_blueprint(layout(views))
+        self._views = views
+
+    def _log_camera(self, camera: CameraModel | None) -> None:
+        """Log the intrinsics and the pose of the camera when they change."""
+        if camera is None or camera is self._camera:
+            return
+        self._camera = camera
+        lens, pose = camera.intrinsics, camera.transform_camera_to_base
+        up = self._rr.ViewCoordinates
+        self._log("/", up.RDF if pose is None else up.RIGHT_HAND_Z_UP, static=True)
+        if pose is not None:
+            self._log(WORLD, self._rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
+        pinhole = self._rr.Pinhole(
+            width=lens.width,
+            height=lens.height,
+            focal_length=(lens.fx, lens.fy),
+            principal_point=(lens.cx, lens.cy),
+            image_plane_distance=0.1,
+        )
+        self._log(IMAGE, pinhole)
+
+    def _log_images(self, frame: Frame, mask: npt.NDArray[np.uint8] | None) -> None:
+        if frame.rgb is not None:
+            bgr = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2BGR)
+            _, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+            self._log(f"{IMAGE}/rgb", self._rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
+        depth = frame.depth
+        if depth is not None:
+            if depth.dtype != np.uint16:  # the viewer takes 0 for unknown depth, but not NaN
+                depth = np.where((depth > 0) & (depth < FARTHEST), depth, 0)
+            metre = 1 / MILLIMETRE if depth.dtype == np.uint16 else 1.0
+            image = self._rr.DepthImage(depth, meter=metre, colormap="grayscale", point_fill_ratio=_FILL)
+            self._log(f"{IMAGE}/depth", image)
+        if mask is not None:
+            if not self._explained:
+                self._log(f"{IMAGE}/mask", self._rr.AnnotationContext(list(_MASK)), static=True)
+                self._explained = True
+            self._log(f"{IMAGE}/mask", self._rr.SegmentationImage((mask > 0).astype(np.uint8)))
+
+    def _log_detection(self, detection: Detection) -> None:
+        slots = slot_colours(detection)
+        for shape in detection:
+            self._log_shape(shape, slots.get(shape.name))
+            name = self._rr.escape_entity_path_part(shape.name)
+            self._log(f"{PLOTS}/quality/{name}", self._rr.Scalars(float(shape.quality)))
+            self._log(f"{PLOTS}/valid/{name}", self._rr.Scalars(float(shape.valid.mean())))
+            found = "found" if shape.track_id <= 1 else f"found, track {shape.track_id}"
+            self._note(shape.name, shape.reason or found, "WARN" if shape.reason else "INFO")
+        if any(shape.points2d is not None for shape in detection):
+            self._log_crossings(detection)
+        for stage, milliseconds in detection.timings.items():
+            self._log(f"{PLOTS}/timings/{stage}", self._rr.Scalars(float(milliseconds)))
+        self._note("stamp", detection.warning, "WARN")
+        more = (f"{count} more {name} found than there are slots" for name, count in detection.more.items())
+        self._note("slots", ", ".join(more), "WARN")
+
+    def _log_shape(self, shape: Shape, slot: tuple[int, int, int] | None) -> None:
+        """Log points, numbers and lines; where a shape has no points, nothing remains of the last frame."""
+        rr, name = self._rr, self._rr.escape_entity_path_part(shape.name)
+        colours = np.array(point_colours(shape), np.uint8)
+        edges = shape.layout.edges()
+        if shape.points2d is not None:
+            known: Flags = np.asarray(np.isfinite(shape.points2d).all(axis=1))
+            path = f"{IMAGE}/shapes/{name}"
+            labels = [str(i) for i in np.flatnonzero(known)]
+            radii = np.where(np.flatnonzero(known) == 0, _FIRST, _POINT)
+            points = rr.Points2D(
+                shape.points2d[known], colors=colours[known], radii=radii, labels=labels, show_labels=False
+            )
+            self._log(f"{path}/points", points)
+            lines = shape.points2d[edges[known[edges].all(axis=1)]]
+            self._log(f"{path}/lines", rr.LineStrips2D(lines, colors=slot or PAPER, radii=_LINE))
+            shown = np.flatnonzero(known & (np.arange(len(shape)) % (NUMBERED if slot else 1) == 0))
+            texts = [shape.name if slot and i == 0 else str(i) for i in shown]
+            numbers = rr.Points2D(shape.points2d[shown], colors=colours[shown], radii=0, labels=texts, show_labels=True)
+            self._log(f"{path}/numbers", numbers)
+        if shape.points3d is not None:
+            known: Flags = np.asarray(np.isfinite(shape.points3d).all(axis=1))
+            path = f"{WORLD}/shapes/{name}"
+            labels = [str(i) for i in np.flatnonzero(known)]
+            radii = np.where(np.flatnonzero(known) == 0, _FIRST, _POINT)
+            points = rr.Points3D(
+                shape.points3d[known], colors=colours[known], radii=radii, labels=labels, show_labels=False
+            )
+            self._log(f"{path}/points", points)
+            lines = shape.points3d[edges[known[edges].all(axis=1)]]
+            self._log(f"{path}/lines", rr.LineStrips3D(lines, colors=slot or PAPER, radii=_LINE))
+
+    def _log_crossings(self, detection: Detection) -> None:
+        places = [crossing.pixel for crossing in detection.crossings]
+        texts = []
+        for crossing in detection.crossings:
+            upper, lower = crossing.slots if crossing.above != 1 else crossing.slots[::-1]
+            texts.append(f"{upper} {'?' if crossing.above is None else 'over'} {lower}")
+        points = self._rr.Points2D(np.reshape(places, (-1, 2)), colors=PAPER, radii=_FIRST, labels=texts)
+        self._log(f"{IMAGE}/crossings", points)
+
+    def _log_feature(self, name: str, values: Mapping[str, float] | npt.ArrayLike) -> None:
+        """Log the values of a feature, and the names of its components when they change."""
+        path = f"{PLOTS}/features/" + "/".join(self._rr.escape_entity_path_part(part) for part in name.split("/"))
+        if isinstance(values, Mapping):
+            numbers, names = np.array(list(values.values()), np.float64), tuple(values)
+        else:
+            numbers = np.atleast_1d(np.asarray(values, np.float64)).ravel()
+            names = tuple(str(i) for i in range(len(numbers))) if len(numbers) > 1 else ("",)
+        if self._series.get(name) != names:
+            self._series[name] = names
+            titles = [f"{name} {component}".strip() for component in names]
+            self._log(path, self._rr.SeriesLines(names=titles), static=True)
+        self._log(path, self._rr.Scalars(numbers))
+
+    def _note(self, subject: str, text: str, level: str) -> None:
+        """Log a text when it differs from the last one on its subject; an empty one says that all is well."""
+        if self._texts.get(subject, "") != text:
+            self._texts[subject] = text
+            line = f"{subject}: {text or 'in order again'}"
+            self._log(LOG, self._rr.TextLog(line, level=level if text else "INFO"))

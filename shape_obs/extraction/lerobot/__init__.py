@@ -1,0 +1,6 @@
+"""Write extracted episodes as a LeRobot dataset, version 3."""
+
+from __future__ import annotations
+
+from shape_obs.extraction.lerobot.dataset import write_lerobot as write_lerobot
+from shape_obs.extraction.lerobot.writer import LeRobotSummary as LeRobotSummary

@@ -1,0 +1,123 @@
+"""Why a pixel rule finds next to nothing: how many pixels match, and whether another colour order or scale would."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, Final
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.frame import Frame
+from shape_obs.geometry.observed import MIN_SAMPLES
+from shape_obs.image.depth_units import depth_problem, middle_depth
+from shape_obs.image.region import Region
+from shape_obs.image.roi import ROI, Window
+from shape_obs.image.segmentation import ColourRule, DepthRange, GrayRange, HSVRange, Segmentation
+
+_EVERY: Final = 30  # frames between two looks at a rule: one takes some milliseconds
+_ENOUGH: Final = 4  # times the smallest object, and times what matches: so many pixels are worth a hint
+_MOST: Final = 0.5  # of the image: more are not the object
+_PERCENT: Final = 100
+_PICK: Final = "`shape-obs detect IMAGE --pick u,v` proposes a segmentation from a pixel on the object"
+
+
+class MaskHints:
+    """Explain masks without an object, at most once in 30 frames for each rule."""
+
+    def __init__(self) -> None:
+        self._known: dict[Segmentation, tuple[int, str]] = {}
+
+    def explained(
+        self,
+        region: Region,
+        rule: Segmentation,
+        frame: Frame,
+        mask: npt.NDArray[np.uint8] | None,
+        roi: ROI,
+        number: int,
+    ) -> Region:
+        """Return a region whose refusal also says what was seen.
+
+        Args:
+            region: The region, which was refused because it has too few pixels.
+            rule: The rule that found it.
+            frame: The images.
+            mask: ``(H, W)`` the mask of a rule that reads the whole image; None for others.
+            roi: The part of the image that was searched.
+            number: Of the frame; between two looks the last explanation is repeated.
+        """
+        last = self._known.get(rule)
+        if last is None or number - last[0] >= _EVERY:
+            self._known[rule] = last = number, why_empty(rule, frame, mask, roi)
+        return replace(region, refusal=f"{region.refusal}: {last[1]}")
+
+
+def why_empty(rule: Segmentation, frame: Frame, mask: npt.NDArray[np.uint8] | None, roi: ROI) -> str:
+    """Return how many pixels match a rule that finds no object, and what would match, in words."""
+    assert frame.size is not None
+    height, width = frame.size
+    whole, window = Window(0, 0, width, height), roi.window(frame.size)
+    if mask is None:
+        own = type(rule).apply is not Segmentation.apply
+        mask = rule.apply(frame, whole) if own else rule.threshold(frame, whole)
+    inside = cv2.countNonZero(_within(mask, roi, window))
+    outside = np.count_nonzero(mask) - inside
+    narrow = window != whole or type(roi).blank is not ROI.blank
+    parts = [f"{inside} of {window.width * window.height} pixels match {rule.label}"]
+    if inside >= MIN_SAMPLES:
+        opened = f"open={rule.open} removes or which " if rule.open > 1 else ""
+        parts[0] += f", which {opened}lie in pieces of fewer than {rule.min_area} pixels (min_area)"
+    if narrow and outside >= _ENOUGH * max(rule.min_area, MIN_SAMPLES):
+        parts.append(f"{outside} pixels outside the region of interest match")
+    for text, other, image in _variants(rule, frame.rgb):
+        count = cv2.countNonZero(_within(other.matches(image), roi, window))
+        enough = _ENOUGH * max(rule.min_area, MIN_SAMPLES, inside)
+        if enough <= count <= _MOST * window.width * window.height:
+            parts.append(text.format(count))
+    if isinstance(rule, (HSVRange, GrayRange)) and max(np.atleast_1d(rule.high)[-2:]) <= 1:
+        what = "s and v are" if isinstance(rule, HSVRange) else "gray is"
+        parts.append(f"its bounds look like 0...1, but {what} 0...255")
+    if isinstance(rule, DepthRange) and frame.depth is not None:
+        parts.append(_depths(frame.depth[window.slices]))
+    if isinstance(rule, ColourRule):
+        parts.append(_PICK)
+    return "; ".join(parts)
+
+
+def _within(mask: npt.NDArray[Any], roi: ROI, window: Window) -> npt.NDArray[np.uint8]:
+    return roi.blank(np.not_equal(mask[window.slices], 0).view(np.uint8), window)
+
+
+def _variants(rule: Segmentation, rgb: npt.NDArray[np.uint8] | None) -> Iterator[tuple[str, ColourRule, Any]]:
+    """Yield what a user may have meant: a hint with room for the count, the rule, and the image."""
+    if rgb is None or not isinstance(rule, ColourRule):
+        return
+    yield (
+        "with red and blue swapped {} would: give RGB, not BGR as OpenCV reads it (cv2.cvtColor(image, "
+        "cv2.COLOR_BGR2RGB))",
+        rule,
+        np.ascontiguousarray(rgb[..., ::-1]),
+    )
+    if isinstance(rule, HSVRange):
+        low, high = (bound[0] // 2 for bound in (rule.low, rule.high))
+        text = "with {what} {{}} would: OpenCV's scale is h 0...179, s and v 0...255; give low={low}, high={high}"
+        for what, scale in (("half the hue", 1.0), ("half the hue, and s and v in percent,", 255 / _PERCENT)):
+            if scale > 1 and max(*rule.low[1:], *rule.high[1:]) > _PERCENT:
+                continue
+            bounds = [
+                (hue, *(round(scale * value) for value in bound[1:]))
+                for hue, bound in ((low, rule.low), (high, rule.high))
+            ]
+            other = replace(rule, low=bounds[0], high=bounds[1])
+            yield text.format(what=what, low=other.low, high=other.high), other, rgb
+
+
+def _depths(depth: npt.NDArray[Any]) -> str:
+    """Return where the valid depth of an image lies, in words."""
+    middle = middle_depth(depth.ravel())
+    if middle is None:
+        return "no pixel has a valid depth"
+    return f"half of the valid depth is below {middle:.3g} m{depth_problem(middle, depth.dtype)}"

@@ -1,0 +1,169 @@
+"""``--rerun`` of the commands and ``shape-obs view``: files that rerun's own reader reads."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("rerun")
+
+from rerun_reading import entities, points, read_rrd
+
+from shape_obs import save_config
+from shape_obs.cli import main
+from shape_obs.cli.rerun_option import with_rerun_value
+from shape_obs.recording import ShapeTable
+
+BLUE = {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}
+CABLE = ["--set", "actions=random", "seed=2", "renderer=rays", "camera=[96, 72]"]
+RGB = "/camera/image/rgb"
+FLAT = "/camera/image/shapes/rope/points", "Points2D:positions"
+SPACE = "/camera/shapes/rope/points", "Points3D:positions"
+
+
+def run(capsys, *arguments):
+    """Return (exit code, stdout, stderr) of a command run in this process."""
+    with pytest.raises(SystemExit) as stop:
+        main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    return stop.value.code, captured.out, captured.err
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """Return a folder with photos and a config, in which commands run, without a display."""
+    rope = {"kind": "centerline", "name": "rope", "n": 8}
+    save_config(tmp_path / "pixels.yaml", {"segmentation": BLUE, "shapes": [rope], "features": ["points2d"]})
+    save_config(tmp_path / "base.yaml", {"shapes": [rope], "segmentation": BLUE, "features": ["length"]})
+    (tmp_path / "photos").mkdir()
+    for i in range(3):
+        rgb = np.full((72, 96, 3), 190, np.uint8)
+        cv2.line(rgb, (10, 30 + 4 * i), (80, 40), (200, 60, 30), 6)
+        cv2.imwrite(str(tmp_path / "photos" / f"{i}.png"), rgb)
+    monkeypatch.chdir(tmp_path)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("given", "read"),
+    [
+        (["replay", "rope", "--rerun"], ["replay", "rope", "--rerun", "auto"]),
+        (["--rerun", "rope", "--json"], ["--rerun", "auto", "rope", "--json"]),
+        (["--rerun", "a.rrd", "rope"], ["--rerun", "a.rrd", "rope"]),
+        (["--rerun=a.rrd", "rope"], ["--rerun=a.rrd", "rope"]),
+        (["--rerun", "rerun+http://host:9876/proxy"], ["--rerun", "rerun+http://host:9876/proxy"]),
+        ([], []),
+    ],
+)
+def test_the_value_of_the_option_may_be_left_out(given, read):
+    assert with_rerun_value(given) == read
+
+
+def test_a_replay_logs_the_points_of_its_table(place, capsys):
+    code, out, err = run(
+        capsys, "replay", "photos", "--rerun", "--config", "pixels.yaml", "--npz", "out/s.npz"
+    )  # fmt: skip
+    assert code == 0, err
+    assert "wrote           out/s.rrd" in out
+    assert "shape-obs replay: logs to out/s.rrd; open it with: rerun out/s.rrd" in err
+    table, logged = ShapeTable.load(place / "out" / "s.npz"), read_rrd(place / "out" / "s.rrd", *FLAT)
+    assert len(logged) == len(table) == 3
+    for row, values in enumerate(logged.values()):
+        np.testing.assert_array_equal(points(values), table["rope/points2d"][row])
+    features = read_rrd(place / "out" / "s.rrd", "/plots/features/rope/points2d", "Scalars:scalars")
+    np.testing.assert_allclose(next(iter(features.values())), table["rope/points2d"][0].ravel(), atol=1e-4)
+    assert "/camera/image/mask" in entities(place / "out" / "s.rrd")
+
+
+def test_a_view_shows_images_and_with_a_config_the_shapes(place, capsys):
+    code, out, err = run(capsys, "view", "photos")
+    assert code == 0, err
+    assert out == "frames          3\nwrote           photos.rrd\n"
+    assert len(read_rrd(place / "photos.rrd", RGB, "EncodedImage:blob")) == 3
+    assert FLAT[0] not in entities(place / "photos.rrd")
+    code, _, err = run(capsys, "view", "photos", "--config", "pixels.yaml", "-o", "new/v.rrd", "--frames", "2")
+    assert code == 0, err
+    assert [len(values) for values in read_rrd(place / "new" / "v.rrd", *FLAT).values()] == [8, 8]
+
+
+def test_features_that_cannot_be_computed_are_left_out_with_a_line(place, capsys):
+    save_config(place / "extrinsics.yaml", {
+        "segmentation": BLUE, "shapes": [{"kind": "centerline", "name": "rope", "n": 8}],
+        "features": [{"kind": "points2d", "origin": "hand"}],
+    })  # fmt: skip
+    code, _, err = run(capsys, "replay", "photos", "--config", "extrinsics.yaml", "--rerun", "r.rrd")
+    assert code == 0, err
+    assert err.count("no features are logged to rerun: ") == 1
+    assert len(read_rrd(place / "r.rrd", *FLAT)) == 3
+
+
+def test_a_recording_is_logged_while_it_is_made_and_shown_in_space(place, capsys):
+    pytest.importorskip("mujoco")
+    arguments = ["--source", "ShapeObs/Cable-v0", "-o", "cable", "--frames", "4", *CABLE, "--rerun"]
+    code, _, err = run(capsys, "record", *arguments)
+    assert code == 0, err
+    assert len(read_rrd(place / "cable.rrd", "/camera/image/depth", "DepthImage:buffer")) == 4
+    code, _, err = run(capsys, "replay", "cable", "--config", "base.yaml", "--rerun", "r.rrd", "--npz", "s.npz")
+    assert code == 0, err
+    table, logged = ShapeTable.load(place / "s.npz"), read_rrd(place / "r.rrd", *SPACE)
+    for row, values in enumerate(logged.values()):
+        wanted = table["rope/points3d"][row]
+        np.testing.assert_array_equal(points(values), wanted[np.isfinite(wanted).all(axis=1)])
+    assert read_rrd(place / "r.rrd", "/camera", "Transform3D:translation"), "the pose of the camera"
+
+
+def test_a_demo_is_logged(place, capsys):
+    pytest.importorskip("mujoco")
+    code, _, err = run(capsys, "demo", "--steps", "3", "--camera", "rl", "--renderer", "rays", "--rerun", "--out", "d")
+    assert code == 0, err
+    found = entities(place / "d" / "demo.rrd")
+    assert {"/camera/shapes/centerline/points", "/camera/image/goals", "/camera/image/mask"} <= found
+    assert "/plots/features/centerline/points3d" in found
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
+def test_ctrl_c_leaves_a_file_with_the_frames_up_to_then(place):
+    pytest.importorskip("mujoco")
+    command = ["view", "ShapeObs/Cable-v0", "--frames", "100000", "--out", "v.rrd", *CABLE]
+    child = subprocess.Popen(
+        [sys.executable, "-c", "from shape_obs.cli import main; main()", *command],
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )
+    give_up = time.monotonic() + 60
+    while not any(path.stat().st_size > 20_000 for path in place.glob(".v.rrd.*")) and time.monotonic() < give_up:
+        time.sleep(0.05)
+    child.send_signal(signal.SIGINT)
+    _, err = child.communicate(timeout=30)
+    assert child.returncode == 130, err
+    assert err.endswith("shape-obs view: interrupted\n")
+    assert len(read_rrd(place / "v.rrd", RGB, "EncodedImage:blob")) > 1
+    assert not list(place.glob(".v.rrd.*"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "exit_code", "message"),
+    [
+        (["view", "none"], 1, "source 'none' is not a camera, path or environment"),
+        (["view", "photos", "--out", "v.mp4"], 2, "--out: expected FILE.rrd or rerun+http://HOST:9876/proxy"),
+        (["view", "photos", "--config", "none.yaml"], 1, "none.yaml: no such config file"),
+        (["view", "ShapeObs/Cable-v0"], 2, "ShapeObs/Cable-v0 never ends: give --frames N"),
+        (["view", "photos", "-o", "rerun+http://127.0.0.1:9/proxy"], 1, "no rerun viewer at rerun+http://127.0.0.1:9"),
+    ],
+)
+def test_mistakes_are_reported_in_one_line(place, capsys, arguments, exit_code, message):
+    code, out, err = run(capsys, *arguments)
+    assert (code, out) == (exit_code, "")
+    assert message in err
+    assert sum(line.startswith("shape-obs") for line in err.splitlines()) == 1
+    assert not list(place.rglob("*.rrd"))

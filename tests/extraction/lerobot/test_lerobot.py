@@ -1,0 +1,244 @@
+"""LeRobot datasets: their files as LeRobot v3 reads them. ``.ci/lerobot`` opens some with the real lerobot."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("pyarrow")
+pytest.importorskip("mujoco")
+
+import pyarrow
+from lerobot_files import array, read, rows, run
+from pyarrow import parquet
+
+from shape_obs import ShapeDetector, save_config
+from shape_obs.cli import main
+from shape_obs.config.config_file import detector_arguments, load_config
+from shape_obs.recording import Moment, Recording, RecordingWriter, record, replay
+from shape_obs_envs.sources import open_source
+
+N, LENGTH = 8, 5
+ROPE = {"kind": "centerline", "name": "rope", "n": N, "anchor": "gripper0", "ends": "tips", "spacing": "m"}
+BLUE = {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """Return a folder with a config and two recordings of a cable, of two and one episodes and a bit."""
+    folder = tmp_path_factory.mktemp("place")
+    save_config(folder / "c.yaml", {"shapes": [ROPE], "segmentation": BLUE})
+    options = {"actions": "random", "renderer": "rays", "camera": (96, 72), "max_episode_steps": LENGTH}
+    for seed, frames in ((0, 2 * (LENGTH + 1)), (1, LENGTH + 4)):
+        with open_source("ShapeObs/Cable-v0", seed=seed, **options) as source:
+            record(source, folder / f"r{seed}", frames=frames)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made(place):
+    """Return the LeRobot dataset of the two recordings, with videos if they can be encoded."""
+    command = ["extract", str(place / "r0"), str(place / "r1"), "--config", str(place / "c.yaml"), "--to", "lerobot"]
+    try:
+        import imageio_ffmpeg  # noqa: F401
+
+        command.append("--videos")
+    except ImportError:
+        pass
+    with pytest.raises(SystemExit) as stop:
+        main([*command, "--task", "shape the rope", "-o", str(place / "made")])
+    assert stop.value.code == 0
+    return place / "made"
+
+
+def test_the_files_are_those_of_the_format(made):
+    files = {path.relative_to(made).as_posix() for path in made.rglob("*") if path.is_file()}
+    videos = {name for name in files if name.startswith("videos/")}
+    ours = {name for name in files if name.startswith("extraction/")}
+    assert files - videos - ours == {
+        "data/chunk-000/file-000.parquet",
+        "meta/episodes/chunk-000/file-000.parquet",
+        "meta/info.json",
+        "meta/stats.json",
+        "meta/tasks.parquet",
+    }
+    assert len(ours) == 1 + 4
+    assert not list(made.glob(".lerobot*"))
+
+
+def test_info_describes_the_columns_of_the_rows(made):
+    info, table = read(made, "info"), rows(made)
+    assert (info["codebase_version"], info["fps"]) == ("v3.0", 20)
+    assert (info["total_episodes"], info["total_frames"], info["total_tasks"]) == (4, 3 * LENGTH + 2, 1)
+    assert info["splits"] == {"train": "0:4"}
+    assert info["robot_type"] == "ShapeObs/Cable-v0"
+    stored = {name: feature for name, feature in info["features"].items() if feature["dtype"] != "video"}
+    assert table.column_names == list(stored)
+    types = {"float32": pyarrow.float32(), "int64": pyarrow.int64(), "bool": pyarrow.bool_()}
+    for name, feature in stored.items():
+        (size,) = feature["shape"]
+        scalar = types[feature["dtype"]]
+        assert table.schema.field(name).type == (scalar if size == 1 else pyarrow.list_(scalar, size)), name
+        assert feature["names"] is None or len(feature["names"]) == size, name
+        assert "/" not in name
+    names = stored["observation.state"]["names"]
+    assert names[:4] == ["rope/points3d/0/x", "rope/points3d/0/y", "rope/points3d/0/z", "rope/points3d/1/x"]
+    assert names[3 * N] == "robot/gripper/0"
+    assert stored["action"]["names"][:2] == ["gripper0/x", "gripper0/y"]
+
+
+def test_rows_are_shapes_with_the_action_that_was_chosen_for_them(place, made):
+    detector = ShapeDetector(**detector_arguments(load_config(place / "c.yaml")))
+    table, at = rows(made), 0
+    states, actions = array(table, "observation.state"), array(table, "action")
+    for name in ("r0", "r1"):
+        with open_source(place / name) as source:
+            pairs = list(replay(source, detector))
+        for (moment, detection), (after, _) in pairwise(pairs):
+            if after.episode != moment.episode:
+                continue
+            rope, step = detection["rope"], after.transition
+            assert step is not None
+            assert rope.valid.all()
+            assert np.abs(states[at][: 3 * N] - np.ravel(np.asarray(rope.points3d))).max() < 1e-6
+            assert np.array_equal(states[at][3 * N :], np.asarray(moment.state, np.float32))
+            assert np.array_equal(actions[at], np.asarray(step.action, np.float32))
+            assert table["next.reward"][at].as_py() == np.float32(step.reward)
+            assert table["next.done"][at].as_py() == (step.terminated or step.truncated)
+            assert table["next.truncated"][at].as_py() == step.truncated
+            at += 1
+    assert at == len(table)
+    assert np.array_equal(array(table, "observation.environment_state"), states[:, : 3 * N])
+    assert array(table, "next.done").sum() == 3, "the last recording ended in an episode"
+    assert array(table, "shape.ok").all()
+    assert array(table, "shape.measured").all()
+
+
+def test_indices_and_episodes_fit_together(made):
+    table, lengths = rows(made), [LENGTH, LENGTH, LENGTH, 2]
+    assert array(table, "index").tolist() == list(range(sum(lengths)))
+    assert array(table, "episode_index").tolist() == [i for i, length in enumerate(lengths) for _ in range(length)]
+    assert array(table, "frame_index").tolist() == [i for length in lengths for i in range(length)]
+    assert np.allclose(array(table, "timestamp"), array(table, "frame_index") / 20)
+    episodes = parquet.read_table(made / "meta" / "episodes" / "chunk-000" / "file-000.parquet")
+    assert episodes["length"].to_pylist() == lengths
+    assert episodes["dataset_to_index"].to_pylist() == np.cumsum(lengths).tolist()
+    assert episodes["dataset_from_index"].to_pylist() == [0, *np.cumsum(lengths)[:-1].tolist()]
+    assert episodes["tasks"].to_pylist() == 4 * [["shape the rope"]]
+    assert set(episodes["data/file_index"].to_pylist()) == {0}
+    tasks = parquet.read_table(made / "meta" / "tasks.parquet")
+    assert tasks.to_pydict() == {"task_index": [0], "__index_level_0__": ["shape the rope"]}
+    assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["__index_level_0__"]
+
+
+def test_statistics_are_those_of_the_rows(made):
+    stats, table = read(made, "stats"), rows(made)
+    episodes = parquet.read_table(made / "meta" / "episodes" / "chunk-000" / "file-000.parquet")
+    first = array(table, "episode_index") == 0
+    for name in table.column_names:
+        values = array(table, name).reshape(len(table), -1).astype(float)
+        found = stats[name]
+        assert found["count"] == [len(table)]
+        for kind in ("min", "max", "mean", "std"):
+            assert np.allclose(found[kind], getattr(values, kind)(axis=0)), (name, kind)
+            assert np.allclose(episodes[f"stats/{name}/{kind}"][0].as_py(), getattr(values[first], kind)(axis=0))
+        for kind, share in (("q01", 0.01), ("q50", 0.5), ("q99", 0.99)):
+            own = np.quantile(values[first], share, axis=0)
+            assert np.allclose(episodes[f"stats/{name}/{kind}"][0].as_py(), own), (name, kind)
+
+
+def test_videos_show_the_frames_of_the_rows(place, made):
+    pytest.importorskip("imageio_ffmpeg")
+    info, recording = read(made, "info"), Recording(place / "r0")
+    feature = info["features"]["observation.images.camera"]
+    assert (feature["dtype"], feature["shape"], feature["names"]) == (
+        "video",
+        [72, 96, 3],
+        ["height", "width", "channels"],
+    )
+    episodes = parquet.read_table(made / "meta" / "episodes" / "chunk-000" / "file-000.parquet").to_pylist()
+    for number, episode in enumerate(episodes):
+        entry = {name.rpartition("/")[2]: value for name, value in episode.items() if name.startswith("videos/")}
+        assert (entry["from_timestamp"], entry["to_timestamp"]) == (0.0, episode["length"] / 20)
+        path = made / info["video_path"].format(video_key="observation.images.camera", **entry)
+        capture = cv2.VideoCapture(str(path))
+        frames = []
+        while (got := capture.read())[0]:
+            frames.append(got[1][..., ::-1])
+        assert len(frames) == episode["length"]
+        if number < 2:
+            for i, frame in enumerate(frames):
+                original = np.asarray(recording[number * (LENGTH + 1) + i].frame.rgb)
+                assert np.abs(frame.astype(int) - original).mean() < 4
+    stats = read(made, "stats")["observation.images.camera"]
+    assert np.asarray(stats["mean"]).shape == (3, 1, 1)
+    assert 0 < np.asarray(stats["min"]).min() < np.asarray(stats["max"]).max() <= 1
+
+
+def test_a_second_run_keeps_the_shapes_and_replaces_the_dataset(place, made, tmp_path, capsys):
+    out = tmp_path / "again"
+    shutil.copytree(made, out)
+    (out / ".lerobot.0123").mkdir()  # left by a run that was killed
+    before = {path.name: path.stat().st_mtime_ns for path in (out / "extraction").iterdir()}
+    code, result, err = run(
+        capsys, place / "r0", "--config", place / "c.yaml", "--to", "lerobot", "-o", out, "--fps", 10
+    )
+    assert (code, result["kept"], result["lerobot"]["episodes"]) == (0, 2, 2), err
+    assert {name: (out / "extraction" / name).stat().st_mtime_ns for name in before} == before
+    assert read(out, "info")["fps"] == 10
+    assert sorted(path.name for path in out.iterdir()) == ["data", "extraction", "meta"]
+
+
+def test_recordings_without_a_robot_give_observations_only(place, tmp_path, capsys):
+    with open_source(place / "r0") as source, RecordingWriter(tmp_path / "flat", source, depth=False) as writer:
+        for i in range(4):
+            frame = source.read()
+            writer.add(Moment(frame, {"gripper0": (20.0, 30.0)}))
+            assert i == frame.number
+    for line in ("camera.json", "frames.jsonl"):
+        assert (tmp_path / "flat" / line).exists()
+    save_config(tmp_path / "c.yaml", {"shapes": [{"kind": "centerline", "n": N}], "segmentation": BLUE})
+    code, result, err = run(
+        capsys, tmp_path / "flat", "--config", tmp_path / "c.yaml", "--to", "lerobot", "-o", tmp_path / "out"
+    )
+    assert code == 0, err
+    assert result["lerobot"]["frames"] == 4
+    assert result["lerobot"]["features"]["observation.environment_state"] == [2 * N]
+    assert "action" not in result["lerobot"]["features"]
+    names = read(tmp_path / "out", "info")["features"]["observation.environment_state"]["names"]
+    assert names[:2] == ["centerline/points2d_normalized/0/u", "centerline/points2d_normalized/0/v"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "wanted", "message"),
+    [
+        (["--task", "x"], 2, "--task, --videos and --fps belong to --to lerobot"),
+        (["--to", "lerobot", "--fps", "0"], 2, "--fps: expected a number above 0"),
+        (["--to", "lerobot", "-o", "r0"], 1, "r0: the folder is not empty, and holds no extraction"),
+    ],
+)
+def test_mistakes_are_reported_before_the_work(place, capsys, monkeypatch, arguments, wanted, message):
+    monkeypatch.chdir(place)
+    out = [] if "-o" in arguments else ["-o", "new"]
+    code, result, err = run(capsys, "r0", "--config", "c.yaml", *arguments, *out)
+    assert (code, result) == (wanted, None)
+    assert message in err
+    assert not Path("new").exists()
+
+
+def test_recordings_of_unlike_robots_are_refused(place, tmp_path, capsys):
+    options = {"actions": "random", "renderer": "rays", "camera": (96, 72), "grippers": 1}
+    with open_source("ShapeObs/Cable-v0", seed=0, **options) as source:
+        record(source, tmp_path / "one", frames=3)
+    code, _, err = run(
+        capsys, place / "r0", tmp_path / "one", "--config", place / "c.yaml", "--to", "lerobot", "-o", tmp_path / "out"
+    )
+    assert code == 1
+    assert "its action, observation.state differ from those of the episodes before" in err
+    assert not (tmp_path / "out" / "meta").exists()

@@ -1,0 +1,154 @@
+"""The reason of an empty mask says how many pixels match, what would match, and what to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from rope_env import RopeEnv
+
+from shape_obs import (
+    Centerline,
+    ColourRule,
+    DepthRange,
+    GrayRange,
+    HSVRange,
+    Rectangle,
+    ShapeDetector,
+    ShapeObservation,
+)
+from shape_obs.image import mask_hints
+
+BLUE = HSVRange((100, 100, 60), (125, 255, 255))
+PICK = "`shape-obs detect IMAGE --pick u,v` proposes a segmentation from a pixel on the object"
+SWAPPED = "would: give RGB, not BGR as OpenCV reads it (cv2.cvtColor(image, cv2.COLOR_BGR2RGB))"
+
+
+def painted(image, colour):
+    """Return the picture of the wavy rope in another colour."""
+    rope = (image == np.array([30, 60, 200], np.uint8)).all(axis=2)
+    return np.where(rope[..., None], np.array(colour, np.uint8), image)
+
+
+def reason_of(rule, *frame, **options):
+    shape = ShapeDetector(segmentation=rule, **options).detect(*frame).shapes[0]
+    assert not shape.ok
+    return shape.reason
+
+
+def test_swapped_channels(blue, wave):
+    count = np.count_nonzero(wave.mask)
+    assert reason_of(BLUE, np.ascontiguousarray(blue[..., ::-1])) == (
+        f"the mask is empty: 0 of 76800 pixels match segmentation 'hsv'; with red and blue swapped {count} {SWAPPED}; "
+        f"{PICK}"
+    )
+
+
+def test_swapped_channels_of_a_rule_of_the_users(blue):
+    @dataclass(frozen=True)
+    class Bluish(ColourRule, kind="test_bluish"):
+        def matches(self, rgb):
+            return rgb[..., 2] > rgb[..., 0].astype(int) + 60
+
+    reason = reason_of(Bluish(), np.ascontiguousarray(blue[..., ::-1]))
+    assert "0 of 76800 pixels match segmentation 'test_bluish'; with red and blue swapped" in reason
+
+
+def test_a_hue_in_degrees(blue, wave):
+    green, count = painted(blue, (40, 180, 60)), np.count_nonzero(wave.mask)
+    assert (
+        f"with half the hue {count} would: OpenCV's scale is h 0...179, s and v 0...255; give low=(55, 100, 60), "
+        "high=(70, 255, 255)" in reason_of(HSVRange((110, 100, 60), (140, 255, 255)), green)
+    )
+    assert (
+        f"with half the hue, and s and v in percent, {count} would: OpenCV's scale is h 0...179, s and v 0...255; give "
+        "low=(55, 127, 102), high=(70, 255, 255)" in reason_of(HSVRange((110, 50, 40), (140, 100, 100)), green)
+    )
+
+
+@pytest.mark.parametrize(
+    ("low", "message"),
+    [
+        ((220, 100, 60), r"got \(220, 100, 60\). If its hue is in degrees, give 110, half of it."),
+        ((0.6, 0.4, 0.2), r"got \(0.6, 0.4, 0.2\). If that is 0...1, give \(107, 102, 51\)."),
+        ([0.5, 1, 1], r"got \(0.5, 1, 1\). If that is 0...1, give \(90, 255, 255\)."),
+    ],
+)
+def test_a_colour_on_another_scale_is_refused_with_the_right_one(low, message):
+    with pytest.raises(ValueError, match=r"hsv: low must be \(h 0...179, s 0...255, v 0...255\), " + message):
+        HSVRange(low, (170, 255, 255))
+
+
+def test_whole_numbers_that_look_like_fractions(blue):
+    assert "its bounds look like 0...1, but s and v are 0...255" in reason_of(HSVRange((0, 0, 0), (1, 1, 1)), blue)
+    assert "its bounds look like 0...1, but gray is 0...255" in reason_of(GrayRange(0, 1), blue)
+
+
+def test_pixels_outside_the_region_of_interest_and_small_pieces(blue, wave):
+    count = np.count_nonzero(wave.mask)
+    reason = reason_of(BLUE, blue, roi=Rectangle(0, 0, 320, 50))
+    assert f"0 of 16000 pixels match segmentation 'hsv'; {count} pixels outside the region of interest match" in reason
+    reason = reason_of(HSVRange(BLUE.low, BLUE.high, min_area=20000), blue)
+    assert f"{count} of 76800 pixels match segmentation 'hsv', which lie in pieces of fewer than 20000 pixels" in reason
+    reason = reason_of(HSVRange(BLUE.low, BLUE.high, open=31), blue)
+    assert f"{count} of 76800 pixels match segmentation 'hsv', which open=31 removes or which lie in pieces" in reason
+
+
+def test_depth_in_a_wrong_unit(blue):
+    far = np.full(blue.shape[:2], 600, np.float32)
+    assert reason_of(DepthRange(0.3, 0.9), None, far) == (
+        "the mask is empty: 0 of 76800 pixels match segmentation 'depth'; half of the valid depth is below 600 m: "
+        "floating depth is read as metres, but these look like millimetres; give depth / 1000, or the camera's uint16 "
+        "image as it is"
+    )
+    reason = reason_of(DepthRange(0.3, 0.9), None, np.full(blue.shape[:2], 1500, np.uint16))
+    assert reason.endswith("half of the valid depth is below 1.5 m")
+    assert reason_of(DepthRange(0.3, 0.9), None, 0 * far).endswith("no pixel has a valid depth")
+
+
+def test_an_empty_mask_of_a_function(blue):
+    def nothing(rgb, depth):
+        return np.zeros(rgb.shape[:2], bool)
+
+    assert "the mask is empty: 0 of 76800 pixels match segmentation " in reason_of(nothing, blue)
+
+
+def test_near_empty_masks_have_hints_too(blue):
+    speck = np.full_like(blue, 150)
+    speck[50:53, 50:54] = (30, 60, 200)
+    reason = reason_of(HSVRange(BLUE.low, BLUE.high, min_area=1), speck)
+    assert reason.startswith("the mask has 12 pixels, at least 16 are needed: 12 of 76800 pixels match segmentation")
+
+
+@pytest.mark.parametrize("shapes", [[Centerline()], [Centerline(count=2)], [Centerline(lift="cloud")]])
+def test_every_kind_of_shape_has_the_hint(blue, intrinsics, shapes):
+    detector = ShapeDetector(shapes, BLUE)
+    depth = np.full(blue.shape[:2], 700, np.uint16)
+    for shape in detector.detect(np.ascontiguousarray(blue[..., ::-1]), depth, intrinsics):
+        assert SWAPPED in shape.reason
+
+
+def test_it_is_looked_at_once_in_thirty_frames_and_not_after_the_shape_was_found(blue, monkeypatch):
+    looks = []
+    look = mask_hints.why_empty
+    monkeypatch.setattr(mask_hints, "why_empty", lambda *arguments: looks.append(1) or look(*arguments))
+    swapped, detector = np.ascontiguousarray(blue[..., ::-1]), ShapeDetector(segmentation=BLUE)
+    reasons = [detector.detect(swapped).shapes[0].reason for _ in range(60)]
+    assert len(looks) == 2
+    assert all(SWAPPED in reason for reason in reasons)
+    assert detector.detect(blue).ok
+    assert [detector.detect(swapped).shapes[0].reason for _ in range(40)] == 40 * ["the mask is empty"]
+    assert len(looks) == 2
+    detector.reset()
+    assert SWAPPED in detector.detect(swapped).shapes[0].reason
+
+
+def test_a_mask_that_is_given_has_no_hints(wave):
+    assert ShapeDetector().detect_mask(0 * wave.mask).shapes[0].reason == "the mask is empty"
+
+
+def test_it_reaches_the_wrapper():
+    env = ShapeObservation(RopeEnv(), segmentation=HSVRange((20, 120, 60), (30, 255, 255)), on_missing="raise")
+    with pytest.raises(Exception, match="the mask is empty: 0 of 19200 pixels match segmentation 'hsv'; `shape-obs"):
+        env.reset(seed=0)

@@ -1,0 +1,300 @@
+"""ROS 2 bags written by ``rosbags`` are read back to the pixel; each bad file raises one clear error."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("rosbags")
+
+from ros_bags import COLOR, DEPTH, INFO, camera_info, image, rgbd_messages, write_bag
+
+from shape_obs.cli import main
+from shape_obs.recording.format import read_moments
+from shape_obs.source import BadRecording, EndOfSource, NotConnected, RGBDSource
+from shape_obs_envs.sources import RosbagSource, open_source
+
+SIZE = (48, 64)
+K = (60.0, 61.0, 31.5, 23.5)
+
+
+def drawn(count: int, dtype: type = np.uint16) -> list:
+    """Return frames of noise, which no decoder can repair by chance; depth in uint16 mm or float32 m."""
+    draw = np.random.default_rng(3)
+    frames = []
+    for _ in range(count):
+        depth = draw.integers(0, 4000, SIZE).astype(np.uint16)
+        rgb = draw.integers(0, 256, (*SIZE, 3), np.uint8)
+        frames.append((rgb, depth if dtype is np.uint16 else (depth / 1000).astype(np.float32)))
+    return frames
+
+
+def frames_of(source) -> list[Any]:
+    """Return all frames of a source."""
+    return [moment.frame for moment in read_moments(source)]
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return drawn(12)
+
+
+@pytest.fixture(scope="module")
+def mcap(frames, tmp_path_factory):
+    return write_bag(tmp_path_factory.mktemp("bags") / "mcap", rgbd_messages(frames, K))
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+@pytest.mark.parametrize("dtype", [np.uint16, np.float32])
+def test_a_bag_is_read_back_to_the_pixel(storage, dtype, tmp_path):
+    frames = drawn(5, dtype)
+    file = write_bag(tmp_path / "bag", rgbd_messages(frames, K), storage)
+    for word in [tmp_path / "bag", *([file] if storage == "mcap" else [])]:
+        source = open_source(word)
+        with pytest.raises(NotConnected):
+            source.read()
+        for _ in range(2):  # connected again, it begins again
+            with source:
+                assert isinstance(source, RGBDSource)
+                assert (source.kind, source.name, source.live, source.has_depth) == ("rosbag", str(word), False, True)
+                assert source.intrinsics is not None
+                assert (source.intrinsics.fx, source.intrinsics.fy) == K[:2]
+                assert (source.intrinsics.cx, source.intrinsics.cy) == K[2:]
+                assert not source.intrinsics.distorted
+                read = frames_of(source)
+                with pytest.raises(EndOfSource, match="end of its 5 frames"):
+                    source.read()
+            assert [frame.number for frame in read] == list(range(5))
+            assert np.allclose([frame.stamp for frame in read], 1700 + np.arange(5) / 30, atol=1e-6)
+            for (rgb, depth), frame in zip(frames, read, strict=True):
+                assert np.array_equal(frame.rgb, rgb)
+                assert frame.depth.dtype == dtype
+                assert np.array_equal(frame.depth, depth)
+                assert frame.camera.intrinsics.fx == K[0]
+
+
+def test_colour_is_paired_with_the_depth_of_its_moment(frames, tmp_path):
+    """Depth arrives 4 frames late, of one frame it is missing, and of another it is half of an interval off."""
+    messages = [
+        each
+        for each in rgbd_messages(frames, K, late=4 / 30)
+        if not (each[0] == DEPTH and each[2].header.stamp == image(frames[3][1], "16UC1", 1700.1 + 0.004).header.stamp)
+    ]
+    for topic, _, message in messages:
+        if topic == DEPTH and message.header.stamp.nanosec == round((5 / 30 + 0.004) * 1e9):
+            message.header.stamp.nanosec += 20_000_000
+    write_bag(tmp_path / "bag", messages)
+    with RosbagSource(tmp_path / "bag") as source:
+        assert len(source) == 12
+        read = {frame.number: frame for frame in frames_of(source)}
+    assert sorted(read) == [0, 1, 2, 4, 6, 7, 8, 9, 10, 11]
+    for number, frame in read.items():
+        assert np.array_equal(frame.depth, frames[number][1])
+    with RosbagSource(tmp_path / "bag", max_gap=0.03) as source:
+        assert 5 in [moment.frame.number for moment in read_moments(source)]
+
+
+def test_depth_of_another_clock_is_an_error_that_names_the_gap(frames, tmp_path):
+    messages = rgbd_messages(frames, K)
+    for topic, _, message in messages:
+        message.header.stamp.sec += 7 * (topic == DEPTH)
+    write_bag(tmp_path / "bag", messages)
+    with RosbagSource(tmp_path / "bag") as source, pytest.raises(BadRecording, match=r"nearest is 6\.\d+ s away"):
+        source.read()
+
+
+def test_messages_without_a_stamp_have_the_time_of_their_recording(frames, tmp_path):
+    write_bag(tmp_path / "bag", [("/image", 5 + n / 10, image(frames[n][0], "bgr8", 0.0)) for n in range(3)])
+    with RosbagSource(tmp_path / "bag") as source:
+        assert source.intrinsics is None
+        assert not source.has_depth
+        read = frames_of(source)
+    assert [frame.stamp for frame in read] == pytest.approx([5.0, 5.1, 5.2])
+    assert all(np.array_equal(frame.rgb, frames[n][0][..., ::-1]) for n, frame in enumerate(read))
+    with RosbagSource(tmp_path / "bag", start=0.15) as source:
+        assert source.read().stamp == pytest.approx(5.2)
+
+
+@pytest.mark.parametrize(
+    ("model", "d"),
+    [
+        ("plumb_bob", (-0.3, 0.1, 0.001, -0.002, 0.0)),
+        ("rational_polynomial", (0.4, -0.3, 1e-3, 2e-4, -0.05, 0.7, -0.2, -0.05)),
+        ("equidistant", (0.05, -0.02, 0.003, 0.0)),
+    ],
+)
+def test_images_of_a_lens_with_distortion_are_rectified(model, d, tmp_path):
+    """A grid of dots on a plane, projected with OpenCV's model, stands where a pinhole shows it."""
+    size, k = (480, 640), (500.0, 505.0, 320.0, 240.0)
+    grid = np.stack(np.meshgrid(np.linspace(-0.3, 0.3, 5), np.linspace(-0.2, 0.2, 4), [1.0]), -1).reshape(-1, 1, 3)
+    matrix = np.array([[k[0], 0, k[2]], [0, k[1], k[3]], [0, 0, 1]])
+    project = cv2.fisheye.projectPoints if model == "equidistant" else cv2.projectPoints
+    zero = np.zeros(3)
+    bent = project(grid, zero, zero, matrix, np.array(d))[0].reshape(-1, 2)
+    straight = cv2.projectPoints(grid, zero, zero, matrix, np.zeros(4))[0].reshape(-1, 2)
+    assert np.abs(bent - straight).max() > 5
+    rgb, depth = np.zeros((*size, 3), np.uint8), np.full(size, 0, np.uint16)
+    for u, v in bent:
+        cv2.circle(rgb, (round(16 * u), round(16 * v)), 16 * 6, (255, 255, 255), -1, cv2.LINE_AA, 4)
+    depth[rgb[..., 0] > 127] = 1000
+    write_bag(
+        tmp_path / "bag",
+        [
+            (INFO, 1.0, camera_info(size, k, d, model)),
+            (COLOR, 1.0, image(rgb, "rgb8", 1.0)),
+            (DEPTH, 1.0, image(depth, "16UC1", 1.0)),
+        ],
+    )
+    with RosbagSource(tmp_path / "bag") as source:
+        frame = source.read()
+    assert frame.rgb is not None
+    assert frame.depth is not None
+    assert frame.camera is not None
+    assert not frame.camera.intrinsics.distorted
+    for mask in (frame.rgb[..., 0] > 127, frame.depth > 0):
+        _, _, stats, centres = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+        found = centres[1:][stats[1:, cv2.CC_STAT_AREA] > 20]  # the nearest pixel may separate one from an edge
+        assert len(found) == len(straight)
+        apart = np.linalg.norm(found[:, None] - straight[None], axis=2).min(axis=1)
+        assert apart.max() < 0.6
+    assert set(np.unique(frame.depth)) == {0, 1000}  # no depth between an edge and what is behind it
+
+
+# ---- errors
+
+
+def test_a_truncated_file_is_named_as_such(mcap, tmp_path):
+    whole = mcap.read_bytes()
+    for name, data in (("half", whole[: len(whole) // 2]), ("start", whole[:20]), ("junk", b"hello" * 50)):
+        path = tmp_path / f"{name}.mcap"
+        path.write_bytes(data)
+        with pytest.raises(BadRecording, match=rf"{name}\.mcap: it cannot be opened.*mcap recover"):
+            open_source(path).connect()
+    (tmp_path / "empty.mcap").write_bytes(b"")
+    with pytest.raises(BadRecording, match=r"empty\.mcap: .*empty"):
+        open_source(tmp_path / "empty.mcap").connect()
+
+
+def test_flipped_bytes_never_raise_anything_else(mcap, frames, tmp_path):
+    whole = np.frombuffer(mcap.read_bytes(), np.uint8)
+    draw = np.random.default_rng(0)
+    path = tmp_path / "flipped.mcap"
+    messages: list[str] = []
+    for _ in range(60):
+        data = whole.copy()
+        at = draw.integers(0, len(data), 1 + draw.integers(4))
+        at[0] = len(data) - draw.integers(1, 3000)  # the index is at the end
+        data[at] ^= draw.integers(1, 256, len(at)).astype(np.uint8)
+        path.write_bytes(data.tobytes())
+        try:
+            with warnings.catch_warnings(), open_source(path) as source:
+                warnings.simplefilter("ignore")
+                assert sum(1 for _ in read_moments(source)) <= len(frames)
+        except BadRecording as error:
+            messages.append(str(error))
+    assert 5 < len(messages) < 60
+    assert all("flipped.mcap" in message and "\n" not in message for message in messages)
+
+
+def test_a_bag_without_an_index_is_read(mcap, frames, tmp_path):
+    """A footer without a summary: what a recorder writes that was asked for no index."""
+    whole = mcap.read_bytes()
+    summary = int.from_bytes(whole[-28:-20], "little")
+    bare = whole[:summary] + whole[-37:-28] + bytes(20) + whole[-8:]
+    (tmp_path / "bare.mcap").write_bytes(bare)
+    with open_source(tmp_path / "bare.mcap") as source:
+        read = frames_of(source)
+    assert len(read) == len(frames)
+    assert all(np.array_equal(frame.rgb, rgb) for frame, (rgb, _) in zip(read, frames, strict=True))
+
+
+def test_folders_without_their_file_or_with_a_bad_list_are_refused(mcap, tmp_path):
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    listed = (mcap.parent / "metadata.yaml").read_text()
+    for text, message in (
+        (listed, "missing"),
+        ("{", "YAML"),
+        ("a: 1", "metadata key"),
+        ("[]", "metadata|damaged|list"),
+    ):
+        (bag / "metadata.yaml").write_text(text)
+        with pytest.raises(BadRecording, match=message):
+            open_source(bag).connect()
+
+
+def test_a_folder_that_lost_its_metadata_says_what_to_do(mcap, tmp_path):
+    (tmp_path / mcap.name).write_bytes(mcap.read_bytes())
+    with pytest.raises(BadRecording, match=r"found neither.*ros2 bag reindex"):
+        open_source(tmp_path).connect()
+
+
+def test_the_sqlite_file_inside_a_rosbag2_leads_to_its_folder(frames, tmp_path):
+    file = write_bag(tmp_path / "bag", rgbd_messages(frames[:2], K), "sqlite3")
+    with pytest.raises(BadRecording, match=r"part of a rosbag2: give its folder, .*bag"):
+        open_source(file).connect()
+
+
+def test_bad_arguments_are_refused(tmp_path):
+    several: Any = (
+        ({"depth": True}, "expected a topic, or false"),
+        ({"start": -1.0}, "start: expected seconds"),
+        ({"colour": "/x"}, r"does not take \['colour'\]"),
+    )
+    for arguments, message in several:
+        (tmp_path / "x.mcap").write_bytes(b"")
+        with pytest.raises(ValueError, match=message):
+            open_source(tmp_path / "x.mcap", **arguments)
+    with pytest.raises(BadRecording, match="no such file"):
+        open_source(tmp_path / "none.mcap")
+
+
+# ---- the commands
+
+
+def run(capsys, *arguments):
+    with pytest.raises(SystemExit) as stop:
+        main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    return stop.value.code, captured.out, captured.err
+
+
+def test_replay_record_and_extract_find_the_shape_in_a_bag(capsys, tmp_path):
+    frames = []
+    for shift in range(6):
+        rgb, depth = np.full((240, 320, 3), 200, np.uint8), np.full((240, 320), 700, np.uint16)
+        cv2.line(rgb, (60 + shift, 90), (260 + shift, 140), (20, 60, 200), 7)
+        frames.append((rgb, depth))
+    file = write_bag(tmp_path / "bags" / "rope", rgbd_messages(frames, (300.0, 300.0, 159.5, 119.5)))
+    config = tmp_path / "rope.yaml"
+    config.write_text(
+        "version: 1\nshape: {shapes: [{kind: centerline, n: 10, ends: tips}], features: [points3d]}\n"
+        "scene: {segmentation: {kind: hsv, low: [100, 120, 40], high: [125, 255, 255]}}\n"
+    )
+    code, out, err = run(capsys, "replay", file, "--config", config, "--npz", tmp_path / "rope.npz", "--json")
+    assert code == 0, err
+    assert json.loads(out)["shapes"]["centerline"]["ok"] == 6
+    points = np.load(tmp_path / "rope.npz")["centerline/points3d"]
+    ends = np.sort(points[:, [0, -1], 0], axis=1)
+    assert np.allclose(ends[:, 0], (60 - 3.5 + np.arange(6) - 159.5) * 0.7 / 300, atol=0.003)
+    assert np.allclose(points[..., 2], 0.7, atol=0.002)
+
+    code, _, err = run(capsys, "record", "--source", file.parent, "-o", tmp_path / "copy")
+    assert code == 0, err
+    with open_source(tmp_path / "copy") as source:
+        copied = frames_of(source)
+    assert len(copied) == len(frames)
+    assert all(np.array_equal(frame.rgb, rgb) for frame, (rgb, _) in zip(copied, frames, strict=True))
+    code, out, err = run(
+        capsys, "extract", tmp_path / "bags", "--config", config, "-o", tmp_path / "set", "--jobs", "1", "--json"
+    )
+    assert code == 0, err
+    assert json.loads(out)["ok"] == {"centerline": 6}
+    code, _, err = run(capsys, "replay", file, "--config", config, "--set", "depth=false")
+    assert code == 1
+    assert "has no depth, but the config needs it: feature 'points3d'" in err

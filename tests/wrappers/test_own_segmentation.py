@@ -1,0 +1,158 @@
+"""ShapeObservation with a function as its segmentation, and without any segmentation."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec, WrapperSpec
+from rope_env import BLUE, RopeEnv
+
+from shape_obs import Centerline, ShapeObservation, SpecError
+from shape_obs.config.detector_config import DetectorConfig
+from shape_obs.image.mask_function import MaskFunction
+
+MODULE = """
+import numpy as np
+
+def blue(rgb, depth):
+    assert depth.dtype == np.float32
+    return rgb[..., 2] > rgb[..., 0].astype(int) + 60
+
+def floats(rgb, depth):
+    return rgb[..., 2] / 255
+"""
+REBUILD = """
+import sys
+import gymnasium as gym
+from gymnasium.envs.registration import EnvSpec
+gym.register("OwnRope-v0", "rope_env:RopeEnv")
+env = gym.make(EnvSpec.from_json(sys.stdin.read()))
+print(env.reset(seed=1)[0].tolist())
+"""
+
+
+@pytest.fixture
+def module(tmp_path, monkeypatch):
+    (tmp_path / "my_masks.py").write_text(MODULE)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield "my_masks"
+    sys.modules.pop("my_masks", None)
+
+
+@pytest.fixture(scope="module")
+def rope():
+    if "OwnRope-v0" not in gym.registry:
+        gym.register("OwnRope-v0", "rope_env:RopeEnv")
+    return lambda: gym.make("OwnRope-v0", disable_env_checker=True)
+
+
+def by_colour(rope):
+    return ShapeObservation(rope(), segmentation=BLUE).reset(seed=1)[0]
+
+
+@pytest.mark.parametrize("given", ["function", "path", "mapping", "of a shape", "of a shape's mapping"])
+def test_the_env_is_rebuilt_from_its_spec_here_and_in_another_process(rope, module, given, tmp_path):
+    path = f"{module}:blue"
+    function = getattr(__import__(module), "blue")  # noqa: B009
+    arguments = {
+        "function": {"segmentation": function},
+        "path": {"segmentation": path},
+        "mapping": {"segmentation": {"kind": "callable", "function": function}},
+        "of a shape": {"shapes": [Centerline(segmentation=function)]},
+        "of a shape's mapping": {"shapes": [{"kind": "centerline", "segmentation": function}]},
+    }[given]
+    env = ShapeObservation(rope(), **arguments)
+    expected = by_colour(rope)
+    np.testing.assert_array_equal(env.reset(seed=1)[0], expected)
+    assert env.spec is not None
+    np.testing.assert_array_equal(gym.make(env.spec).reset(seed=1)[0], expected)
+    text = env.spec.to_json()
+    assert f'"function": "{path}"' in text or f'"segmentation": "{path}"' in text
+    np.testing.assert_array_equal(gym.make(EnvSpec.from_json(text)).reset(seed=1)[0], expected)
+    folders = [str(tmp_path), *(folder for folder in sys.path if folder.endswith("support"))]
+    done = subprocess.run(
+        [sys.executable, "-c", f"import sys; sys.path[:0] = {folders}\n{REBUILD}"],
+        input=text, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    np.testing.assert_array_equal(np.float32(json.loads(done.stdout)), expected)
+
+
+def test_a_function_of_the_script_is_rebuilt_in_the_script_and_explained_elsewhere(tmp_path, rope):
+    script = tmp_path / "script.py"
+    script.write_text(
+        f"import sys; sys.path[:0] = {[folder for folder in sys.path if folder.endswith('support')]}\n"
+        "import gymnasium as gym\nfrom shape_obs import ShapeObservation\n"
+        "def mask(rgb, depth): return rgb[..., 2] > rgb[..., 0].astype(int) + 60\n"
+        "gym.register('OwnRope-v0', 'rope_env:RopeEnv')\n"
+        "env = ShapeObservation(gym.make('OwnRope-v0', disable_env_checker=True), segmentation=mask)\n"
+        "gym.make(env.spec).reset()\nprint(env.spec.to_json())\n"
+    )
+    done = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    with pytest.raises(ValueError, match="__main__:mask was defined in the script or notebook that recorded it"):
+        gym.make(EnvSpec.from_json(done.stdout))
+
+
+@pytest.mark.parametrize("arguments", ["segmentation", "shape", "mapping"])
+def test_a_function_without_an_import_path_is_refused_when_the_wrapper_is_made(arguments):
+    def mask(rgb, depth):
+        return rgb[..., 2] > 100
+
+    given: Any = {
+        "segmentation": {"segmentation": mask},
+        "shape": {"shapes": [Centerline(segmentation=MaskFunction(mask))]},
+        "mapping": {"shapes": [{"kind": "centerline", "segmentation": mask}]},
+    }[arguments]
+    with pytest.raises(SpecError, match=r"segmentation: <function .* cannot be saved or recorded, since it has no"):
+        ShapeObservation(RopeEnv(), **given)
+
+
+def test_a_wrong_mask_is_named_in_reset(rope, module):
+    env = ShapeObservation(rope(), segmentation=f"{module}:floats")
+    with pytest.raises(TypeError, match=r"^segmentation my_masks:floats: expected a numpy array of bool or uint8,"):
+        env.reset()
+
+
+class Publishing(RopeEnv):
+    @property
+    def shape_obs_defaults(self):
+        return {"segmentation": BLUE}
+
+
+class TestWithoutSegmentation:
+    MESSAGE = "ShapeObservation: shape 'centerline' has no segmentation, so no frame would be understood. Pass segmen"
+
+    def test_it_is_an_error_when_the_wrapper_is_made(self):
+        with pytest.raises(ValueError, match=self.MESSAGE):
+            ShapeObservation(RopeEnv())
+        with pytest.raises(ValueError, match="ShapeObservation: shape 'b' has no segmentation"):
+            ShapeObservation(
+                RopeEnv(), [{"kind": "centerline", "name": "a", "segmentation": BLUE}, Centerline(name="b")]
+            )
+        with pytest.raises(ValueError, match="ShapeObservation: shape 'rope' has no segmentation"):
+            ShapeObservation(RopeEnv(), [Centerline(name="rope", count=2)])
+
+    def test_gym_make_raises_too(self, rope):
+        spec = ShapeObservation(rope(), segmentation=BLUE).spec
+        assert spec is not None
+        *others, own = spec.additional_wrappers
+        assert own.name == "ShapeObservation"
+        kwargs = {name: value for name, value in (own.kwargs or {}).items() if name != "segmentation"}
+        spec.additional_wrappers = (*others, WrapperSpec(own.name, own.entry_point, kwargs))
+        with pytest.raises(ValueError, match=self.MESSAGE):
+            gym.make(spec)
+
+    def test_a_segmentation_of_the_env_or_of_each_shape_is_enough(self):
+        assert ShapeObservation(Publishing()).reset()[1]["shape/ok"]
+        assert ShapeObservation(RopeEnv(), [{"kind": "centerline", "segmentation": BLUE}]).reset()[1]["shape/ok"]
+
+
+def test_a_detector_still_takes_masks_without_a_segmentation():
+    assert DetectorConfig().segmentation is None
