@@ -12,7 +12,8 @@ import numpy.typing as npt
 from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
 from shape_obs.drawing.pictures import NUMBERED, PAPER, Image, point_colours, slot_colours
 from shape_obs.drawing.rerun_layout import IMAGE, LOG, PLOTS, WORLD, layout
-from shape_obs.frame import FARTHEST, MILLIMETRE, Frame, check_mask
+from shape_obs.frame import FARTHEST, MILLIMETRE, Frame
+from shape_obs.image.mask_check import check_given_mask
 from shape_obs.shape import Detection, Shape
 
 Flags = npt.NDArray[np.bool_]
@@ -98,7 +99,7 @@ class RerunLog:
             ValueError: An image has another shape or size.
         """
         frame = Frame(rgb, depth, as_camera_model(camera))
-        region = None if mask is None else check_mask(mask, frame)
+        region = None if mask is None else check_given_mask(mask, frame)
         self._set_time(number, stamp if detection is None else detection.stamp)
         self._arrange(frame, detection, features)
         self._log_camera(frame.camera)
