@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.config.detector_config import DetectorConfig
-from shape_obs.image.find_region import segment
 from shape_obs.image.region import Region
 from shape_obs.image.roi import ROI
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.recording.format import Moment
 from shape_obs.shape import Detection
+from shape_obs.tracking.search_window import RegionSearch
 from shape_obs.tuner.session import Session
 
 Mask = npt.NDArray[np.uint8]
@@ -38,7 +39,7 @@ class Result:
     moment: Moment
     config: DetectorConfig
     roi: ROI | None
-    regions: tuple[Region, ...] = ()
+    regions: Mapping[Segmentation, Region] = field(default_factory=dict)
     detection: Detection | None = None
     error: str = ""
 
@@ -51,7 +52,7 @@ class Result:
     def mask(self) -> Mask:
         """``(H, W)`` uint8, 255 where a pixel belongs to an object."""
         mask = np.zeros(self.size, np.uint8)
-        for region in self.regions:
+        for region in self.regions.values():
             part = mask[region.window.slices]
             np.maximum(part, np.where(region.mask > 0, np.uint8(255), np.uint8(0)), out=part)
         return mask
@@ -99,18 +100,18 @@ class Finder:
         config, frame = self._detector.config, moment.frame
         rules = {shape.segmentation for shape in config.filled()} - {None}
         roi: ROI | None = config.roi
-        regions: list[Region] = []
+        regions: dict[Segmentation, Region] = {}
         try:
             if type(config.roi).place is not ROI.place:
                 roi, self._memory, _ = config.roi.place(frame.rgb, self._memory)
             if roi is not None:
-                window = roi.window(frame.size or (0, 0))
-                regions = [segment(frame, window, rule, roi) for rule in rules if isinstance(rule, Segmentation)]
+                search = RegionSearch(frame, None, roi, self._detector.shapes, {})
+                regions = {rule: search.region(rule) for rule in rules if rule is not None}
             if not rules:
                 return Result(self._number, moment, config, roi)
             detection = self._detector.detect(
                 frame.rgb, frame.depth, frame.camera, stamp=frame.stamp, anchors=moment.anchors
             )
         except (ValueError, TypeError) as error:
-            return Result(self._number, moment, config, roi if regions else None, tuple(regions), None, str(error))
-        return Result(self._number, moment, config, roi, tuple(regions), detection)
+            return Result(self._number, moment, config, roi if regions else None, regions, None, str(error))
+        return Result(self._number, moment, config, roi, regions, detection)

@@ -11,7 +11,6 @@ import numpy.typing as npt
 from shape_obs.configurations.base import Configuration, Scene
 from shape_obs.drawing import draw_curve, draw_detection
 from shape_obs.geometry.observed import Samples
-from shape_obs.image.find_region import segment
 from shape_obs.image.region import Region
 from shape_obs.tracking.prediction import Fit
 from shape_obs.tuner.pictures import BORDER, TINT, Image, scaled
@@ -48,7 +47,7 @@ def stage_picture(result: Result, stage: str) -> Image:
         return _area(picture, result, scale)
     if result.roi is None or spec.segmentation is None or result.error:
         return _blank(picture, result.error or "nothing is looked for yet")
-    region = segment(result.moment.frame, result.roi.window(result.size), spec.segmentation, result.roi)
+    region = result.regions[spec.segmentation]
     if stage == "mask":
         return _pale(picture, region, result.size)
     if stage == "points":
