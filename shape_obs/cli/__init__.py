@@ -18,6 +18,7 @@ from shape_obs.utils.errors import UsageError, did_you_mean
 
 COMMANDS: Final = {
     "demo": "run an episode of the simulated cable and draw the points",
+    "tune": "choose the settings on a web page",
     "detect": "find the shape in image files",
     "record": "record frames from a camera, a file or an environment",
     "replay": "find the shape in every frame of a recording",

@@ -167,7 +167,8 @@ def _inside(folder: Path) -> Iterator[Path]:
     """Yield the recordings in a folder, which may itself be a recording."""
     from shape_obs.recording.format import CAMERA_FILE, FRAMES_FILE
     from shape_obs_envs.sources.opening import MCAP, RECORDINGS, ROSBAG2
-    from shape_obs_envs.sources.sequence import PHOTOS, VIDEOS
+    from shape_obs_envs.sources.sequence import PHOTOS
+    from shape_obs_envs.sources.video import VIDEOS
 
     inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
     names, suffixes = {path.name for path in inside}, {path.suffix.lower() for path in inside if path.is_file()}

@@ -36,7 +36,21 @@ def test_both_packages_say_that_they_are_typed():
 
 def test_all_is_every_extra():
     extras = set(metadata.metadata("shape-obs").get_all("Provides-Extra") or ())
-    assert extras == {"sim", "realsense", "sb3", "fast", "viz", "video", "parquet", "view", "rerun", "ray", "all"}
+    assert extras == {
+        "sim",
+        "realsense",
+        "sb3",
+        "fast",
+        "viz",
+        "video",
+        "parquet",
+        "view",
+        "tune",
+        "rerun",
+        "ros",
+        "ray",
+        "all",
+    }
     of = {extra: {line.split(";")[0] for line in requirements() if f"extra == '{extra}'" in line} for extra in extras}
     assert of["all"] == set().union(*(of[extra] for extra in extras - {"all"}))
     assert {extra for extra in extras if not of[extra]} == {"fast"}  # kept for old install commands

@@ -13,21 +13,23 @@ from shape_obs_envs.sources.opening import open_source as open_source
 if TYPE_CHECKING:
     from shape_obs_envs.sources.env import EnvSource as EnvSource
     from shape_obs_envs.sources.live import LiveSource as LiveSource
+    from shape_obs_envs.sources.photo import PhotoSource as PhotoSource
     from shape_obs_envs.sources.realsense import RealSenseSource as RealSenseSource
     from shape_obs_envs.sources.realsense import SoftwareD455 as SoftwareD455
     from shape_obs_envs.sources.rosbag import RosbagSource as RosbagSource
     from shape_obs_envs.sources.sequence import FolderSource as FolderSource
-    from shape_obs_envs.sources.sequence import VideoSource as VideoSource
+    from shape_obs_envs.sources.video import VideoSource as VideoSource
     from shape_obs_envs.sources.webcam import WebcamSource as WebcamSource
 
 _HOME: Final = {
     "EnvSource": "env",
     "FolderSource": "sequence",
     "LiveSource": "live",
+    "PhotoSource": "photo",
     "RealSenseSource": "realsense",
     "RosbagSource": "rosbag",
     "SoftwareD455": "realsense",
-    "VideoSource": "sequence",
+    "VideoSource": "video",
     "WebcamSource": "webcam",
 }
 __all__ = sorted([*_HOME, "open_source"])  # pyright: ignore[reportUnsupportedDunderAll]

@@ -96,7 +96,8 @@ def takes_size(text: str) -> bool:
 def _recording(word: str, path: Path, extrinsics: Any, options: Mapping[str, Any]) -> RGBDSource:
     """Make a source of a file, a folder or an environment."""
     from shape_obs_envs.sources.env import EnvSource
-    from shape_obs_envs.sources.sequence import PHOTOS, VIDEOS, FolderSource, VideoSource
+    from shape_obs_envs.sources.sequence import PHOTOS, FolderSource
+    from shape_obs_envs.sources.video import VIDEOS, VideoSource
 
     suffix = path.suffix.lower()
     if suffix in (MCAP, *RECORDINGS, *VIDEOS) and not path.exists():

@@ -1,9 +1,8 @@
-"""Sources that deliver frames on demand: their base class, folders and videos."""
+"""Sources that deliver frames on demand: their base class, and folders."""
 
 from __future__ import annotations
 
 import re
-import time
 import warnings
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
@@ -12,7 +11,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
 
 from shape_obs.camera import CameraModel, Intrinsics
@@ -23,9 +21,8 @@ from shape_obs.recording.format import CAMERA_FILE, FRAMES_FILE
 from shape_obs.source import BadRecording, EndOfSource, NotConnected, Source
 from shape_obs.utils.arrays import read_image
 
-#: Suffixes of photos and of video files.
+#: Suffixes of photos.
 PHOTOS: Final = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
-VIDEOS: Final = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
 
 
 class SequenceSource(Source):
@@ -192,6 +189,21 @@ class FolderSource(SequenceSource):
         self.anchors, self.episode, self.transition, self.state = {}, 0, None, None
         self._connected = True
 
+    def seek(self, index: int) -> None:
+        """Go to a frame, which ``read`` returns next.
+
+        Args:
+            index: 0 for the first frame.
+
+        Raises:
+            NotConnected: The folder is not open.
+            IndexError: There is no such frame.
+        """
+        self._check_connected()
+        check_index(index, len(self), self.name)
+        first = self._part[0] if self._part else 0
+        self._left = range(first + index, first + len(self))
+
     def _next(self) -> Frame:
         if not self._left:
             raise EndOfSource(f"{self.path}: end of its {len(self)} frames.")
@@ -217,62 +229,10 @@ class FolderSource(SequenceSource):
         return self.recording.camera if self.recording else None
 
 
-class VideoSource(SequenceSource):
-    """Frames of a video file, with presentation times as stamps, and without depth and intrinsics.
-
-    Args:
-        path: The file.
-        extrinsics: See ``Source``; has no effect without intrinsics.
-
-    Raises:
-        BadRecording: By ``connect``: the file does not exist, or OpenCV cannot decode it.
-    """
-
-    kind: str = "video"
-    has_depth: bool = False
-
-    def __init__(self, path: str | Path, extrinsics: Extrinsics | str | Path | None = None) -> None:
-        super().__init__(str(path), extrinsics)
-        self.path = Path(path)
-        self._capture: cv2.VideoCapture | None = None
-        self._number, self._stamp = 0, 0.0
-
-    def connect(self) -> None:
-        """Open the file and start at its first frame."""
-        if self._connected:
-            return
-        if not self.path.is_file():
-            raise BadRecording(f"{self.path}: {'not a file' if self.path.exists() else 'no such file'}.")
-        capture = cv2.VideoCapture(str(self.path))
-        if not capture.isOpened():
-            raise BadRecording(f"{self.path}: not a video that OpenCV can decode; it may be damaged or truncated.")
-        self._capture, self._number = capture, 0
-        self._period = 1.0 / (capture.get(cv2.CAP_PROP_FPS) or 30.0)
-        self._connected = True
-
-    def disconnect(self) -> None:
-        """Close the file."""
-        if self._capture is not None:
-            self._capture.release()
-            self._capture = None
-        super().disconnect()
-
-    def _next(self) -> Frame:
-        assert self._capture is not None
-        there, bgr = self._capture.read()
-        if not there:
-            if self._number == 0:
-                raise BadRecording(f"{self.path}: it contains no frame that can be decoded.")
-            raise EndOfSource(f"{self.path}: end of its {self._number} frames.")
-        stamp = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
-        # Some containers have no times; frames are then evenly spaced.
-        if self._number and stamp <= self._stamp:
-            stamp = self._stamp + self._period
-        self._stamp = stamp
-        rgb = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8)
-        frame = Frame(rgb, stamp=stamp, received=time.monotonic(), number=self._number)
-        self._number += 1
-        return frame
+def check_index(index: int, length: int, name: str) -> None:
+    """Raise an ``IndexError`` unless a source of ``length`` frames has a frame ``index``."""
+    if not 0 <= index < length:
+        raise IndexError(f"{name}: expected a frame from 0 to {length - 1}, got {index}.")
 
 
 @lru_cache(maxsize=1)

@@ -1,0 +1,256 @@
+"""The page in a real browser: from a click to a file that every command reads."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from shape_obs import load_config, save_config
+from shape_obs.bench.synthetic.ropes import draw_rope
+from shape_obs.cli import main
+
+pytest.importorskip("nicegui")
+sync_api = pytest.importorskip("playwright.sync_api")
+
+from tuner_page import ARGUMENTS, chromium, serving  # noqa: E402
+
+REAL = Path(__file__).parents[3] / "shared" / "data" / "real" / "blue_rope_640x480.png"
+CAMERA = Path(__file__).parents[1] / "support" / "tuner_camera.py"
+LAPTOP, PHONE = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
+PATIENCE = 60_000  # milliseconds: the machine may be busy
+BLUE = {"kind": "hsv", "low": [100, 120, 40], "high": [130, 255, 255]}
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with sync_api.sync_playwright() as playwright:
+        path = chromium(playwright)
+        if path is None:
+            pytest.skip("no Chromium: neither on the PATH nor installed by Playwright")
+        started = playwright.chromium.launch(executable_path=path, args=list(ARGUMENTS))
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def drawn(tmp_path) -> Path:
+    """Return a photo of a drawn blue rope on gray, 640 x 480 pixels."""
+    u = np.linspace(80, 560, 800)
+    mask = draw_rope(np.stack([u, 240 + 90 * np.sin((u - 80) / 80)], axis=1), 16.0, size=(480, 640)).mask
+    rgb = np.where(mask[..., None] > 0, np.array([30, 60, 200]), np.array([150, 150, 150])).astype(np.float64)
+    noisy = np.clip(rgb + np.random.default_rng(0).normal(0, 4, rgb.shape), 0, 255).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "rope.png"), cv2.cvtColor(noisy, cv2.COLOR_RGB2BGR))
+    return tmp_path / "rope.png"
+
+
+@pytest.fixture
+def photos(tmp_path, drawn) -> Path:
+    """Return a folder of forty photos in which the rope moves, and a config for it next to it."""
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    photo = cv2.imread(str(drawn))
+    assert photo is not None
+    for i in range(40):
+        cv2.imwrite(str(folder / f"{i}.jpg"), np.roll(photo, 2 * i, axis=0))
+    save_config(tmp_path / "blue.yaml", {"segmentation": BLUE})
+    return folder
+
+
+def opened(browser, url, size=LAPTOP):
+    page = browser.new_page(viewport=size)
+    page.set_default_timeout(PATIENCE)
+    page.goto(url)
+    image = page.locator(".tune-pick img")
+    sync_api.expect(image).to_be_visible(timeout=PATIENCE)
+    page.wait_for_function("document.querySelector('.tune-pick img').src.startsWith('blob:')")
+    return page
+
+
+def click_at(page, u, v, size=(640, 480), **options):
+    """Click at a pixel of the image."""
+    image = page.locator(".tune-pick img")
+    box = image.bounding_box()
+    place = {"x": (u + 0.5) / size[0] * box["width"], "y": (v + 0.5) / size[1] * box["height"]}
+    image.click(position=place, **options)
+
+
+def press(slider, key):
+    """Press a key on a slider."""
+    slider.locator("[tabindex]").press(key)
+
+
+def expect_text(page, selector, text):
+    sync_api.expect(page.locator(selector).first).to_contain_text(text, timeout=PATIENCE)
+
+
+def pink_pixels(page) -> int:
+    """Return how many pixels of the picture that the browser shows have the tint of a mask."""
+    data = page.evaluate(
+        """() => { const image = document.querySelector('.tune-pick img');
+        const canvas = document.createElement('canvas');
+        canvas.width = image.naturalWidth; canvas.height = image.naturalHeight;
+        const drawing = canvas.getContext('2d'); drawing.drawImage(image, 0, 0);
+        const pixels = drawing.getImageData(0, 0, canvas.width, canvas.height).data;
+        let count = 0;
+        for (let i = 0; i < pixels.length; i += 4)
+          if (pixels[i] > pixels[i + 1] + 50 && pixels[i + 2] > pixels[i + 1] + 50) count++;
+        return count; }"""
+    )
+    return int(data)
+
+
+def detected(capsys, photo, config, out):
+    """Return the points that ``shape-obs detect`` prints."""
+    with pytest.raises(SystemExit) as stop:
+        main(["detect", str(photo), "--config", str(config), "--out", str(out)])
+    assert stop.value.code == 0
+    return np.array(json.loads(capsys.readouterr().out)["shapes"][0]["points2d"])
+
+
+@pytest.mark.parametrize("which", ["drawn", "real"])
+def test_from_a_click_to_a_file_that_gives_the_same_points(browser, which, drawn, tmp_path, capsys):
+    photo, pixel = (drawn, (205, 330)) if which == "drawn" else (REAL, (60, 196))
+    if not photo.exists():
+        pytest.skip(f"the shared data is not there: {photo}")
+    with serving(photo, "--save", tmp_path / "shape.yaml") as served:
+        page = opened(browser, served.url)
+        expect_text(page, ".found", "Click on the object")
+        assert pink_pixels(page) < 200
+        click_at(page, *pixel)
+        expect_text(page, ".found", "20 points, all visible")
+        page.wait_for_timeout(500)
+        assert pink_pixels(page) > 4000
+        page.screenshot(path=tmp_path / "laptop.png")
+
+        for _ in range(5):
+            press(page.get_by_role("slider", name="Points N"), "ArrowRight")
+        expect_text(page, ".found", "25 points, all visible")
+        page.get_by_role("button", name="Undo").click()
+        expect_text(page, ".found", "20 points, all visible")
+
+        slider = page.get_by_role("slider", name="Strictness")
+        before = float(slider.get_attribute("aria-valuenow"))
+        press(slider, "ArrowLeft")
+        sync_api.expect(slider).not_to_have_attribute("aria-valuenow", f"{before:g}", timeout=PATIENCE)
+        page.get_by_role("tab", name="Points").click()
+        sync_api.expect(page.locator(".points tbody tr")).to_have_count(20, timeout=PATIENCE)
+        cells = page.locator(".points tbody tr").all_inner_texts()
+        shown = np.array([row.split("\t")[2:4] for row in cells], float)
+
+        page.get_by_role("button", name="Save").click()
+        expect_text(page, ".q-dialog", "Saved")
+        page.screenshot(path=tmp_path / "saved.png")
+    config = load_config(tmp_path / "shape.yaml")
+    assert config["segmentation"]["strictness"] == pytest.approx(before - 0.1, abs=0.06)
+    np.testing.assert_allclose(detected(capsys, photo, tmp_path / "shape.yaml", tmp_path), shown, atol=0.06)
+
+
+def test_a_phone_shows_everything_within_its_width(browser, drawn, tmp_path):
+    with serving(drawn, "--save", tmp_path / "shape.yaml") as served:
+        page = opened(browser, served.url, PHONE)
+        click_at(page, 205, 330)
+        expect_text(page, ".found", "20 points")
+        assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+        page.get_by_role("button", name="Not the object").click()
+        click_at(page, 20, 20)
+        expect_text(page, ".proposal + button", "Clear 2 clicks")
+        page.screenshot(path=tmp_path / "phone.png")
+
+
+def test_depth_gives_a_view_in_space(browser, drawn, tmp_path):
+    cv2.imwrite(str(tmp_path / "depth.png"), np.full((480, 640), 600, np.uint16))
+    with serving(drawn, "--depth", tmp_path / "depth.png", "--intrinsics", 600, 600, 319.5, 239.5) as served:
+        page = opened(browser, served.url)
+        click_at(page, 205, 330)
+        expect_text(page, ".found", "20 points")
+        page.get_by_role("tab", name="3D").click()
+        sync_api.expect(page.locator(".nicegui-scene canvas")).to_be_visible(timeout=PATIENCE)
+        page.get_by_role("tab", name="Points").click()
+        row = page.locator(".points tbody tr").first
+        sync_api.expect(row).to_contain_text("0.600", timeout=PATIENCE)
+
+
+def test_two_pages_show_the_same(browser, drawn, tmp_path):
+    with serving(drawn, "--save", tmp_path / "shape.yaml") as served:
+        first, second = opened(browser, served.url), opened(browser, served.url)
+        click_at(first, 205, 330)
+        expect_text(second, ".found", "20 points, all visible")
+        press(second.get_by_role("slider", name="Points N"), "ArrowRight")
+        expect_text(first, ".found", "21 points")
+        sync_api.expect(first.get_by_role("slider", name="Points N")).to_have_attribute(
+            "aria-valuenow", "21", timeout=PATIENCE
+        )
+
+
+def test_an_area_is_dragged(browser, drawn, tmp_path):
+    with serving(drawn, "--save", tmp_path / "shape.yaml") as served:
+        page = opened(browser, served.url)
+        click_at(page, 205, 330)
+        expect_text(page, ".found", "20 points")
+        page.get_by_role("button", name="Area", exact=True).click()
+        image = page.locator(".tune-area img")
+        sync_api.expect(image).to_be_visible(timeout=PATIENCE)
+        page.wait_for_timeout(300)
+        box = image.bounding_box()
+        page.mouse.move(box["x"] + 0.05 * box["width"], box["y"] + 0.1 * box["height"])
+        page.mouse.down()
+        page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"], steps=4)
+        page.mouse.move(box["x"] + 0.95 * box["width"], box["y"] + 0.9 * box["height"], steps=4)
+        page.mouse.up()
+        sync_api.expect(page.get_by_role("button", name="Whole image")).to_be_enabled(timeout=PATIENCE)
+        page.get_by_role("button", name="Save").click()
+        expect_text(page, ".q-dialog", "Saved")
+    roi = load_config(tmp_path / "shape.yaml")["roi"]
+    assert roi["kind"] == "rectangle"
+    np.testing.assert_allclose([roi[name] for name in ("left", "top", "width", "height")], [32, 48, 576, 384], atol=3)
+
+
+def test_a_recording_ends_and_is_scrubbed(browser, photos, tmp_path):
+    with serving(photos, "--config", tmp_path / "blue.yaml") as served:
+        page = opened(browser, served.url)
+        expect_text(page, ".q-badge", "ended")
+        expect_text(page, ".found", "20 points")
+        page.locator(".scrub").click(position={"x": 2, "y": 10})
+        expect_text(page, ".q-badge", "paused")
+        sync_api.expect(page.get_by_text("1 / 40")).to_be_visible(timeout=PATIENCE)
+        page.get_by_role("button", name="Step").click()
+        sync_api.expect(page.get_by_text("2 / 40")).to_be_visible(timeout=PATIENCE)
+        page.get_by_role("button", name="Play").click()
+        expect_text(page, ".q-badge", "playing")
+        expect_text(page, ".q-badge", "ended")
+
+
+def test_read_only_shows_and_saves_nothing(browser, photos, tmp_path):
+    before = (tmp_path / "blue.yaml").read_text()
+    with serving(photos, "--config", tmp_path / "blue.yaml", "--read-only") as served:
+        page = opened(browser, served.url)
+        expect_text(page, ".found", "20 points")
+        expect_text(page, ".q-badge", "read-only")
+        click_at(page, 5, 5)
+        sync_api.expect(page.get_by_role("button", name="Save")).to_be_disabled(timeout=PATIENCE)
+        expect_text(page, ".found", "20 points")
+    assert (tmp_path / "blue.yaml").read_text() == before
+
+
+def test_a_camera_that_is_unplugged_and_a_page_that_is_closed(browser, tmp_path):
+    plug = tmp_path / "plug"
+    with serving(plug, script=CAMERA) as served:
+        page = opened(browser, served.url)
+        expect_text(page, ".q-badge", "camera lost")
+        expect_text(page, ".reason", "The camera is gone")
+        plug.touch()
+        expect_text(page, ".q-badge", "live")
+        expect_text(page, ".found", "20 points")
+        page.close()
+        log, end = plug.with_suffix(".log"), time.monotonic() + 60
+        while log.read_text().splitlines()[-1] != "disconnect":
+            assert time.monotonic() < end
+            time.sleep(0.1)
+        page = opened(browser, served.url)
+        expect_text(page, ".q-badge", "live")
+    assert log.read_text().splitlines()[-1] == "disconnect"
