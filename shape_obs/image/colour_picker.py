@@ -70,7 +70,8 @@ def propose_segmentation(
         depth_there = None if depth is None else np.asarray(cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST))
     photo = Photo(small, depth_there)
     on, off = _scaled(picks, scale, photo), _scaled(nots, scale, photo)
-    tried = list(trials(photo, on, off))
+    # If something has the object's very colours, clicks on it cannot be obeyed; the text says so.
+    tried = list(trials(photo, on, off)) or list(trials(photo, on, []))
     if not tried:
         raise ValueError(
             f"pick: nothing around {_listed(picks)} has a colour of its own; pick a pixel in the middle of the object, "

@@ -154,7 +154,7 @@ def test_ctrl_c_leaves_a_file_with_the_frames_up_to_then(place):
 @pytest.mark.parametrize(
     ("arguments", "exit_code", "message"),
     [
-        (["view", "none"], 1, "source 'none' is not a camera, path or environment"),
+        (["view", "none"], 1, "source 'none' is not a camera, path, class or environment"),
         (["view", "photos", "--out", "v.mp4"], 2, "--out: expected FILE.rrd or rerun+http://HOST:9876/proxy"),
         (["view", "photos", "--config", "none.yaml"], 1, "none.yaml: no such config file"),
         (["view", "ShapeObs/Cable-v0"], 2, "ShapeObs/Cable-v0 never ends: give --frames N"),
