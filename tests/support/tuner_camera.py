@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from shape_obs import Frame
-from shape_obs.source import CameraLost, CameraNotFound
+from shape_obs.source import CameraLost, CameraNotFound, Source
 from shape_obs.tuner.engine import Engine
 from shape_obs.tuner.server import Address, serve
 from shape_obs.tuner.session import Session
@@ -18,13 +18,18 @@ from shape_obs.tuner.session import Session
 FRAMES = 30
 
 
-class Unplugged:
+class Unplugged(Source):
     """A camera that shows a blue rope and is then gone until it is plugged in again; it writes its calls to a file."""
 
-    kind, name, live, has_depth, intrinsics, camera = "camera", "scripted", True, False, None, None
+    kind, name, live, has_depth = "camera", "scripted", True, False
 
     def __init__(self, plug: Path) -> None:
+        super().__init__()
         self.plug, self.count = plug, 0
+
+    @property
+    def intrinsics(self) -> None:
+        return None
 
     def note(self, call: str) -> None:
         with self.plug.with_suffix(".log").open("a") as log:
@@ -48,6 +53,9 @@ class Unplugged:
         curve = np.stack([u, 140 + 40 * np.sin((u - 50 + self.count) / 40)], axis=1).astype(np.int32)
         cv2.polylines(picture, [curve], False, (30, 60, 200), 10, cv2.LINE_AA)
         return Frame(picture, stamp=self.count / 30)
+
+    def read_latest(self, max_age: float = 0.1) -> Frame:
+        return self.read()
 
 
 if __name__ == "__main__":
