@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.frame import depth_in_metres
-from shape_obs.image.clicked_colours import cells_of, colours_of, lab_of
+from shape_obs.image.clicked_colours import as_lab, cells_of, colours_of
 
 Mask = npt.NDArray[np.bool_]
 Pixel = tuple[int, int]
@@ -39,7 +39,8 @@ class Photo:
 
     def __init__(self, rgb: npt.NDArray[np.uint8], depth: npt.NDArray[Any] | None) -> None:
         self.rgb, self.shape = rgb, rgb.shape[:2]
-        self.lab, self.smooth = lab_of(rgb), lab_of(np.asarray(cv2.medianBlur(rgb, 3), np.uint8))
+        stored = cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB)
+        self.lab, self.smooth = as_lab(stored), as_lab(np.asarray(cv2.medianBlur(stored, 3)))
         cells = cells_of(rgb)
         occurring, places = np.unique(cells, return_inverse=True)
         self.cells = occurring, places.reshape(cells.shape)

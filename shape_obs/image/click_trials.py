@@ -133,7 +133,7 @@ def _trial(photo: Photo, parts: list[Mask], others: list[Mask], picks: list[Pixe
     for other in others:
         if other.any():
             ground += _mixture(photo, [core(other)], _OTHER_SAMPLES, _OTHER_COLOURS)
-    rule = ClickedColours(object=colours, background=ground, close=3)
+    rule = ClickedColours(object=colours, background=ground)
     odds = log_odds(photo.colours, colours, ground)
     found, clicked = pieces(masked(photo, odds, rule), rule, picks)
     if np.count_nonzero(clicked) < _SMALLEST:
@@ -178,7 +178,7 @@ def _score(photo: Photo, found: Mask, clicked: Mask, picks: list[Pixel], nots: l
     spread = photo.sample(core(found), 1500).std(axis=0)
     variation = _VARIATION + float(np.linalg.norm(spread * (_OF_LIGHT, 1, 1)))
     hit, miss = hits(found, picks, nots)
-    return contrast / variation * (0.02 + hit**2) * (1 - 0.9 * miss) * (1 - 0.7 * _unlike(found, clicked))
+    return contrast / variation * (0.02 + hit) * (1 - 0.9 * miss) * (1 - 0.7 * _unlike(found, clicked))
 
 
 def _unlike(found: Mask, clicked: Mask) -> float:

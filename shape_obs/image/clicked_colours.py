@@ -134,10 +134,9 @@ def colours_of(cells: npt.NDArray[np.integer[Any]]) -> Array:
     return (lab * CELL + (CELL - 1) / 2 - _ZERO) * _SCALE
 
 
-def lab_of(rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
-    """Return the CIE Lab colours of an image, ``(h, w, 3)`` float32: L 0...100, a and b about -128...127."""
-    lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB).astype(np.float32)
-    return (lab - _ZERO.astype(np.float32)) * _SCALE.astype(np.float32)
+def as_lab(stored: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    """Return CIE Lab from 8-bit Lab of OpenCV, ``(h, w, 3)`` float32: L 0...100, a and b about -128...127."""
+    return (stored.astype(np.float32) - _ZERO.astype(np.float32)) * _SCALE.astype(np.float32)
 
 
 def log_odds(lab: Array, inside: tuple[ColourGaussian, ...], outside: tuple[ColourGaussian, ...]) -> Array:

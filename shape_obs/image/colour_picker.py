@@ -17,8 +17,9 @@ from shape_obs.image.segmentation import Segmentation
 
 _LARGEST: Final = 960  # pixels: larger photos are reduced while clicks are interpreted
 _STRICTNESS: Final = (0.0, -3.0, -1.5, 1.5, 3.0, 5.0, 8.0)
+_STEEPER: Final = 1.03  # by how much edges must be steeper at another threshold
 _MOST: Final = 0.6  # share of the image
-_SAME: Final = 0.93  # intersection over union of masks that are as good as equal
+_SAME: Final = 0.97  # intersection over union of masks that are as good as equal
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,19 +104,16 @@ def _finished(photo: Photo, best: Trial, picks: list[Pixel], nots: list[Pixel]) 
         if hits(found, picks, nots)[0] < hit or not 0.5 * area < np.count_nonzero(found) < 1.6 * area:
             continue
         steepness = float(border_changes(photo, found, -0.3, 1.3, smooth=False).mean())
-        if steepness > steepest:
+        if steepness > _STEEPER * steepest:
             rule, steepest = other, steepness
-    # What is thin may be the border of something else, where colours mix; the object must not lose by this.
-    _, clicked = pieces(masked(photo, best.odds, rule), rule, picks)
+    # What is thin may be the border of something else, where colours mix. The object must not lose by the opening, and
+    # without any clean-up the fast search by colour is open to the detector.
     opened = replace(rule, open=3)
-    if np.count_nonzero(opened.clean(clicked.astype(np.uint8))) > _SAME * np.count_nonzero(clicked):
+    plain, clicked = pieces(masked(photo, best.odds, rule), rule, picks)
+    found, _ = pieces(masked(photo, best.odds, opened), opened, picks)
+    kept = np.count_nonzero(opened.clean(clicked.astype(np.uint8))) > _SAME * np.count_nonzero(clicked)
+    if kept and np.count_nonzero(plain & found) <= _SAME * np.count_nonzero(plain | found):
         rule = opened
-    # Without clean-up the fast search by colour is open to the detector.
-    found, _ = pieces(masked(photo, best.odds, rule), rule, picks)
-    bare = replace(rule, open=0, close=0)
-    plain, _ = pieces(masked(photo, best.odds, bare), bare, picks)
-    if np.count_nonzero(plain & found) > _SAME * np.count_nonzero(plain | found):
-        rule, found = bare, plain
     return _without_smaller_pieces(photo, best, rule, picks, nots)
 
 
@@ -131,10 +129,8 @@ def _without_smaller_pieces(
     areas = np.bincount(labels.ravel())[1:]
     if not wrong or not len(areas):
         return rule
-    share = max(np.count_nonzero(piece) for piece in wrong) / areas.max()
-    return (
-        replace(rule, min_share=round(min(1.05 * share, 1.0), 3)) if 1.02 * share < areas.min() / areas.max() else rule
-    )
+    share = 1.05 * max(np.count_nonzero(piece) for piece in wrong) / areas.max()
+    return replace(rule, min_share=round(share, 3)) if share < areas.min() / areas.max() else rule
 
 
 def _found(rule: ClickedColours, rgb: npt.NDArray[np.uint8]) -> Mask:
