@@ -78,8 +78,11 @@ def check_source(text: str, option: str = "--source") -> None:
     """Report a file that does not exist before the libraries are imported that would read it.
 
     Raises:
+        UsageError: ``text`` is an option that the command does not have, which some versions of tyro pass on.
         FileNotFoundError: ``text`` is the name of a file, and there is none.
     """
+    if text.startswith("-"):
+        raise UsageError(f"unknown option {text}; `--help` lists the options.")
     if ":" not in text and Path(text).suffix and not Path(text).exists():
         raise FileNotFoundError(f"{text}: no such file.")
 
@@ -107,7 +110,9 @@ def warnings_as_lines(prog: str) -> Iterator[None]:
     opencv: Any = cv2 if hasattr(cv2, "setLogLevel") else cv2.utils.logging  # OpenCV 5, OpenCV 4
     opencv.setLogLevel(_LOG_LEVEL_ERROR)
 
-    def show(message: Warning | str, *_: Any) -> None:
+    def show(message: Warning | str, category: type[Warning], *_: Any) -> None:
+        if issubclass(category, DeprecationWarning):  # between two libraries: no user can do anything about it
+            return
         print(f"{prog}: {' '.join(str(message).split())}", file=sys.stderr)
 
     with warnings.catch_warnings():

@@ -174,6 +174,8 @@ def hits(mask: Mask, picks: list[Pixel], nots: list[Pixel]) -> tuple[float, floa
 
 
 def _score(photo: Photo, found: Mask, clicked: Mask, picks: list[Pixel], nots: list[Pixel]) -> float:
+    if not found.any():
+        return 0.0
     contrast = max(float(np.percentile(border_changes(photo, found), 10)), 0.5)
     spread = photo.sample(core(found), 1500).std(axis=0)
     variation = _VARIATION + float(np.linalg.norm(spread * (_OF_LIGHT, 1, 1)))
