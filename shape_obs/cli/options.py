@@ -110,13 +110,12 @@ def warnings_as_lines(prog: str) -> Iterator[None]:
     opencv: Any = cv2 if hasattr(cv2, "setLogLevel") else cv2.utils.logging  # OpenCV 5, OpenCV 4
     opencv.setLogLevel(_LOG_LEVEL_ERROR)
 
-    def show(message: Warning | str, category: type[Warning], *_: Any) -> None:
-        if issubclass(category, DeprecationWarning):  # between two libraries: no user can do anything about it
-            return
+    def show(message: Warning | str, *_: Any) -> None:
         print(f"{prog}: {' '.join(str(message).split())}", file=sys.stderr)
 
     with warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)
+        warnings.simplefilter("ignore", DeprecationWarning)  # some are UserWarnings too, and none is the user's to mend
         warnings.showwarning = show
         yield
 
