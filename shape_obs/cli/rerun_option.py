@@ -48,12 +48,12 @@ def check_target(value: str, name: str) -> None:
         raise UsageError(f"{name}: expected FILE.rrd or rerun+http://HOST:9876/proxy, got {value!r}.")
 
 
-def open_rerun(target: str | Path, beside: Path, prog: str) -> RerunStream:
+def open_rerun(target: str | Path, output: Path, prog: str) -> RerunStream:
     """Open the stream that ``--rerun`` asks for, and print on stderr where it goes.
 
     Args:
         target: ``FILE.rrd``, the address of a viewer, or ``auto``: a viewer where there is a display, else a file.
-        beside: Where that file is written, with the suffix ``.rrd`` added.
+        output: Where that file is written, with the suffix ``.rrd`` added.
         prog: The command, for the message.
 
     Raises:
@@ -64,7 +64,7 @@ def open_rerun(target: str | Path, beside: Path, prog: str) -> RerunStream:
     from shape_obs.drawing.rerun_stream import VIEWER, RerunStream, has_display
 
     if str(target) == AUTO:
-        target = VIEWER if has_display() else beside.with_name(beside.name + ".rrd")
+        target = VIEWER if has_display() else output.with_name(output.name + ".rrd")
     stream = RerunStream(target)
     if stream.path is not None:
         print(f"{prog}: logs to {stream.path}; open it with: rerun {stream.path}", file=sys.stderr)
