@@ -13,9 +13,13 @@ author = "the shape_obs authors"
 version = release = shape_obs.__version__
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
-myst_enable_extensions = ["colon_fence"]
+extensions += ["sphinx.ext.intersphinx", "sphinx_copybutton", "sphinx_design"]
+myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 exclude_patterns = ["_build"]
+
+copybutton_prompt_text = r">>> |\.\.\. |\$ "
+copybutton_prompt_is_regexp = True
 
 autodoc_class_signature = "mixed"  # "separated" lists __init__ and __new__
 autodoc_member_order = "bysource"
@@ -25,6 +29,8 @@ napoleon_numpy_docstring = False
 
 html_theme = "furo"
 html_title = f"shape_obs {version}"
+html_static_path = ["_static"]
+html_css_files = ["pages.css"]
 
 
 def shorten_arrays(app, domain, object_type, content):

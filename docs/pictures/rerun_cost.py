@@ -1,4 +1,4 @@
-"""Measure what `log_rerun` costs next to `detect`, and fill the table of `docs/rerun.md`.
+"""Measure what `log_rerun` costs next to `detect`, and fill the table of `docs/how-to/show-in-rerun.md`.
 
 Run: `uv run python docs/pictures/rerun_cost.py`
 
@@ -22,7 +22,7 @@ from shape_obs.drawing.matching_pixels import matching_pixels
 from shape_obs.recording.format import read_moments
 from shape_obs_envs.sources import open_source
 
-PAGE = Path(__file__).parents[1] / "rerun.md"
+PAGE = Path(__file__).parents[1] / "how-to" / "show-in-rerun.md"
 FRAMES, ROUNDS = 40, 5
 BLUE = HSVRange(low=(100, 120, 40), high=(125, 255, 255))
 

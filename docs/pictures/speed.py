@@ -21,7 +21,8 @@ from matplotlib.ticker import LogLocator, NullFormatter
 mpl.use("Agg")
 
 DOCS = Path(__file__).parent.parent
-PAGE, IMAGES = DOCS / "speed.md", DOCS / "images"
+PAGES = {"peers": DOCS / "benchmarks" / "speed-methods.md", "latency": DOCS / "benchmarks" / "speed-pipeline.md"}
+IMAGES = DOCS / "images"
 OURS, THEIRS, INK = "#2d55c8", "#c8cdd6", "#1e1e1e"
 STAGES = ("#2d55c8", "#7f9be8", "#e17828", "#f0b98d", "#3c9650", "#c8cdd6")
 BLOCK = r"(<!-- {name} -->\n).*?(<!-- end -->)"
@@ -30,17 +31,18 @@ Row = dict[str, Any]
 
 
 def main(paths: Iterable[str]) -> None:
-    """Fill the page and draw its pictures from result files of `bench peers` and `bench latency`."""
+    """Fill the pages and draw their pictures from result files of `bench peers` and `bench latency`."""
     measured = {}
     for path in paths:
         document = json.loads(Path(path).read_text(encoding="utf-8"))
         measured[document["measurement"]] = document
     if not measured:
         raise SystemExit("usage: speed.py peers.json latency.json")
-    page = PAGE.read_text(encoding="utf-8")
-    for name, block in blocks(measured).items():
-        page = filled(page, name, block)
-    PAGE.write_text(page, encoding="utf-8")
+    for name, document in measured.items():
+        page = PAGES[name].read_text(encoding="utf-8")
+        for block, text in blocks({name: document}).items():
+            page = filled(page, block, text)
+        PAGES[name].write_text(page, encoding="utf-8")
     for name, picture in pictures(measured).items():
         figure = picture()
         figure.savefig(IMAGES / f"speed_{name}.png", dpi=100, bbox_inches="tight")
@@ -48,10 +50,10 @@ def main(paths: Iterable[str]) -> None:
 
 
 def filled(page: str, name: str, block: str) -> str:
-    """The page with what stands between the marks of a name replaced."""
+    """Replace the text between the marks of a block."""
     page, times = re.subn(BLOCK.format(name=name), lambda found: f"{found[1]}\n{block}\n\n{found[2]}", page, flags=re.S)
     if times != 1:
-        raise ValueError(f"{PAGE.name}: expected one block <!-- {name} --> ... <!-- end -->, got {times}.")
+        raise ValueError(f"expected one block <!-- {name} --> ... <!-- end -->, got {times}.")
     return page
 
 

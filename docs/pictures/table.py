@@ -14,7 +14,7 @@ from pathlib import Path
 from shape_obs.bench.table.figures import PICTURES
 
 DOCS = Path(__file__).parent.parent
-PAGE, IMAGES = DOCS / "paper-table.md", DOCS / "images"
+PAGE, IMAGES = DOCS / "benchmarks" / "table-1.md", DOCS / "images"
 
 
 def main(folder: Path) -> None:

@@ -216,14 +216,14 @@ class TestCommand:
         docs = Path(__file__).parents[2] / "docs"
         script = runpy.run_path(str(docs / "pictures" / "table.py"))
         page = tmp_path / "page.md"
-        page.write_text((docs / "paper-table.md").read_text(encoding="utf-8"), encoding="utf-8")
+        page.write_text((docs / "benchmarks" / "table-1.md").read_text(encoding="utf-8"), encoding="utf-8")
         script["main"].__globals__.update(PAGE=page, IMAGES=tmp_path)
         for _ in range(2):
             script["main"](outlines[0])
         text = page.read_text(encoding="utf-8")
         assert text.count("10 frames of each configuration, seed 0.") == 1
         assert "\n### Contour, N = 32" in text
-        assert text.endswith((docs / "paper-table.md").read_text(encoding="utf-8").split("<!-- end -->")[1])
+        assert text.endswith((docs / "benchmarks" / "table-1.md").read_text(encoding="utf-8").split("<!-- end -->")[1])
         assert (tmp_path / "table_bars.png").stat().st_size == (outlines[0] / "bars.png").stat().st_size
 
     @pytest.mark.parametrize(

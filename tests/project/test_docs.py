@@ -11,7 +11,7 @@ import pytest
 from shape_obs import Segmentation
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^```(python|pycon|yaml)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)")
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
@@ -77,7 +77,6 @@ def test_the_page_of_the_command_line_documents_every_option(command, capsys):
     with pytest.raises(SystemExit):
         main([*command.split(), "--help"])
     known = set(re.findall(r"--[a-z][a-z-]*", capsys.readouterr().out))
-    page = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
-    section = page.split(f"\n## {command}\n")[1].split("\n## ")[0]
-    documented = set(re.findall(r"--[a-z][a-z-]*", section))
+    page = (ROOT / "docs" / "reference" / "cli" / f"{command.replace(' ', '-')}.md").read_text(encoding="utf-8")
+    documented = set(re.findall(r"--[a-z][a-z-]*", page))
     assert {name for name in known if not name.startswith("--no-")} - {"--help"} == documented

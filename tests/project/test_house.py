@@ -62,14 +62,14 @@ def test_each_room_has_its_place_in_the_order_of_imports(package):
 
 
 def test_the_page_lists_the_rooms_in_the_order_of_imports():
-    page = (ROOT / "docs" / "how-the-code-is-laid-out.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "concepts" / "code.md").read_text(encoding="utf-8")
     table = page.split("## Rooms", 1)[1].split("\n## ", 1)[0]
     listed = re.findall(r"^\| `(\w+)", table, flags=re.M)
     assert listed == [room for layer in layers("shape_obs") for room in layer]
 
 
 def test_the_page_names_files_that_exist():
-    page = (ROOT / "docs" / "how-the-code-is-laid-out.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "concepts" / "code.md").read_text(encoding="utf-8")
     named = set(re.findall(r"`((?:shape_obs|envs|tests|docs)/[\w/.-]+|[\w/]+\.py)`", page))
     assert named
     for name in named:
@@ -77,7 +77,7 @@ def test_the_page_names_files_that_exist():
 
 
 def test_the_page_names_functions_that_exist():
-    page = (ROOT / "docs" / "how-the-code-is-laid-out.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "concepts" / "code.md").read_text(encoding="utf-8")
     named = re.findall(r"`(\w+)` in `([\w/]+\.py)`", page)
     assert named
     for function, file in named:

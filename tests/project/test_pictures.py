@@ -32,7 +32,7 @@ def cases():
 
 @pytest.fixture(scope="module")
 def page():
-    return (DOCS / "what-can-go-wrong.md").read_text(encoding="utf-8")
+    return (DOCS / "concepts" / "what-can-go-wrong.md").read_text(encoding="utf-8")
 
 
 def unnumbered(text: str) -> str:

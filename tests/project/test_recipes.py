@@ -15,7 +15,7 @@ import pytest
 
 from shape_obs import Centerline, HSVRange, ShapeDetector
 
-PAGE = Path(__file__).parents[2] / "docs" / "bring-your-own.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "segment-with-a-network.md"
 RECIPES = dict(re.findall(r"^```py\n# (\w+)\.py\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), flags=re.M | re.S))
 BLUE = HSVRange((95, 100, 60), (125, 255, 255))
 

@@ -56,7 +56,7 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
         render_observation: False omits the images from the observation and renders nothing.
         render_size: Size of the images that ``render`` returns, like ``camera``; None for the observation's.
         randomize: True draws new light, appearance, camera, material, distractors and a hand at each reset; a mapping
-            selects factors and their strength. See docs/domain-randomization.md.
+            selects factors and their strength. See docs/how-to/randomise-a-simulation.md.
 
     Raises:
         ValueError: An argument is out of its range.

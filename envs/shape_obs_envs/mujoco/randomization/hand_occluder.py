@@ -42,7 +42,7 @@ class Hand(Factor):
         probability: Probability that it comes in an episode.
         cover: Largest fraction of the object's points that it covers, 0 ... 1; it retreats if it would cover more.
         spare: Whether it avoids the landmarks of the object: the ends of a rope, the corners of a cloth, and enough
-            of a band's width to see that it is closed. See docs/domain-randomization.md.
+            of a band's width to see that it is closed. See docs/how-to/randomise-a-simulation.md.
         latest: Last step in which it may start.
         stay: Smallest and largest number of steps that it stays.
         speed: Smallest and largest distance per step in metres.
