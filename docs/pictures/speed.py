@@ -1,4 +1,4 @@
-"""The tables and pictures of 'Speed', from what was measured:
+"""Fill the pages on speed and draw their pictures, from the results of two commands:
 
 shape-obs bench peers --json > peers.json
 shape-obs bench latency --memory 100000 --json > latency.json

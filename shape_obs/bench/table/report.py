@@ -50,8 +50,8 @@ def _preface(plan: Plan, found: Sequence[Row]) -> str:
         f"{plan.frames} frames of each configuration, seed {plan.seed}. SC, the silhouette: of all pixels"
         f"{exact if plan.frames > EXACT else ''}. CH, the Calinski-Harabasz score: of all pixels. After ±: "
         "half the 95 % interval of the mean, where an episode counts as one value.",
-        f"Time, by the {plan.clock} clock. Clusterers: from the pixels to the centres, cold in every frame, without the "
-        "sorting along our form. Ours: from the mask to the ordered points, tracked.",
+        f"Time, by the {plan.clock} clock. Clusterers: from the pixels to the centres, cold in every frame, without "
+        "the sorting along our form. Ours: from the mask to the ordered points, tracked.",
     ]
     refused = {result.configuration: result.refused for result in found if result.refused}
     if refused:
