@@ -64,7 +64,7 @@ def main() -> None:
         away = np.linalg.norm(rope.pixels[:, None] - truth[None], axis=2).min(axis=1)
         gaps = np.linalg.norm(np.diff(rope.pixels, axis=0), axis=1)
         name = clustering if isinstance(clustering, str) else f"quantiles, {clustering.trim}"
-        print(f"{name:<15} ok: {rope.ok}, off by at most {away.max():.1f} px,", end=" ")
+        print(f"{name:<20} ok: {rope.ok}, off by at most {away.max():.1f} px,", end=" ")
         print(f"gaps {gaps.min():.0f} ... {gaps.max():.0f}")
 
 

@@ -61,8 +61,8 @@ def main() -> None:
     values = observation["observation"][chord.place]
     middle, direction, sag = values[:2], values[2:4], values[4]
     print(f"middle {middle.round(2)}, direction {direction.round(2)}, sag {sag:.2f}")
-    print("ok:", info["shape/ok"])
-    print("within the bounds:", env.observation_space.contains(observation))
+    inside = env.observation_space.contains(observation)
+    print("ok:", info["shape/ok"], "and within the bounds:", inside)
 
 
 if __name__ == "__main__":
