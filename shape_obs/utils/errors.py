@@ -1,4 +1,4 @@
-"""The errors about what users write, and hints at what they may have meant."""
+"""The errors about what users write, and hints at what they may have meant or must install."""
 
 from __future__ import annotations
 
@@ -13,6 +13,15 @@ class SpecError(ValueError):
 
 class UsageError(ValueError):
     """A command line that is wrong: an argument is missing, unknown or out of range. ``shape-obs`` exits with 2."""
+
+
+def install_hint(extra: str) -> str:
+    """Return the end of an error message about a library that is not installed; the package is not on PyPI.
+
+    Args:
+        extra: The extra that installs the library, such as ``"rerun"``.
+    """
+    return f'in a clone of shape_obs, run pip install ".[{extra}]"'
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
