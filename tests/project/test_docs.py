@@ -9,6 +9,9 @@ from pathlib import Path
 import pytest
 
 from shape_obs import Segmentation
+from shape_obs.cli import COMMANDS, main
+from shape_obs.cli.bench import MEASUREMENTS
+from shape_obs.cli.calibrate import CALIBRATIONS
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -56,27 +59,26 @@ def test_the_readme_has_the_two_commands_as_they_are_promised():
     assert "uv run pytest" in lines
 
 
-@pytest.mark.parametrize(
-    "command",
-    ["demo", "detect", "record", "replay", "bench claims", "bench table", "bench peers", "bench latency", "bench envs"]
-    + [
-        "markers",
-        "calibrate intrinsics",
-        "calibrate base",
-        "goal",
-        "deploy",
-        "fit-features",
-        "extract",
-        "bench servo",
-        "ablate",
-    ],
-)
-def test_the_page_of_the_command_line_documents_every_option(command, capsys):
-    from shape_obs.cli import main
+PARTS = {"calibrate": CALIBRATIONS, "bench": MEASUREMENTS}
+COMMAND_LINES = [command for command in COMMANDS if command not in PARTS]
+COMMAND_LINES += [f"{group} {part}" for group, parts in PARTS.items() for part in parts]
+CLI_PAGES = ROOT / "docs" / "reference" / "cli"
 
+
+@pytest.mark.parametrize("command", COMMAND_LINES)
+def test_the_page_of_the_command_line_documents_every_option(command, capsys):
     with pytest.raises(SystemExit):
         main([*command.split(), "--help"])
     known = set(re.findall(r"--[a-z][a-z-]*", capsys.readouterr().out))
-    page = (ROOT / "docs" / "reference" / "cli" / f"{command.replace(' ', '-')}.md").read_text(encoding="utf-8")
+    page = (CLI_PAGES / f"{command.replace(' ', '-')}.md").read_text(encoding="utf-8")
     documented = set(re.findall(r"--[a-z][a-z-]*", page))
-    assert {name for name in known if not name.startswith("--no-")} - {"--help"} == documented
+    pairs = {f"--no-{name[2:]}" for name in known}  # the form that switches off an option that is on
+    assert known - pairs - {"--help"} == documented - pairs
+    assert len(page.split()) <= 700
+
+
+def test_the_table_of_commands_lists_every_page():
+    page = (CLI_PAGES / "index.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\| \[`([a-z -]+)`\]\(([a-z-]+)\.md\)", page, flags=re.MULTILINE)
+    assert sorted(command for command, _ in listed) == sorted(COMMAND_LINES)
+    assert all(command.replace(" ", "-") == name for command, name in listed)
