@@ -111,8 +111,6 @@ class D455Camera:
 class D455Noise(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
     """Add the errors of an Intel RealSense D455 to the images of an RGB-D environment.
 
-    See docs/how-to/add-camera-noise.md.
-
     Depth gets noise, disparity steps and holes (0); colour gets noise, and an exposure and white balance that are drawn
     for each episode. Types and spaces stay the same; the rest of the observation is passed through. A plain RGB image
     observation gets the colour part only.
