@@ -101,7 +101,7 @@ class RopeEnv(ShapeGoalEnv, EzPickle):
 
 
 class CableEnv(RopeEnv):
-    """Bring a rope into a goal shape with two grippers or one; see docs/envs/cable.md.
+    """Bring a rope into a goal shape with two grippers or one; see docs/reference/envs/cable.md.
 
     Args:
         grippers: 2 to hold both ends, 1 to hold end 0 of a shorter rope.
