@@ -15,7 +15,7 @@ import shape_obs
 DOCS = Path(__file__).parent
 
 project = "shape_obs"
-author = "the shape_obs authors"
+author = "the shape_obs developers"
 version = release = shape_obs.__version__
 
 extensions = ["myst_parser", "sphinx_copybutton", "sphinx_design", "sphinx.ext.autodoc", "sphinx.ext.autosummary"]
