@@ -13,6 +13,7 @@ from shape_obs import Segmentation
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^```(python|pycon|yaml)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+NOT_RUN = re.compile(r"^<!-- not run: [^\n]+ -->\n\Z", re.MULTILINE)
 LINK = re.compile(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)")
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
@@ -30,6 +31,8 @@ def test_samples_run(page, tmp_path, monkeypatch):
     names: dict[str, object] = {"__name__": "builtins"}
     for block in BLOCK.finditer(text):
         language, code = block.groups()
+        if NOT_RUN.search(text[: block.start()]):
+            continue
         line = text[: block.start()].count("\n") + 1
         if language == "yaml":
             Path("shape.yaml").write_text(code, encoding="utf-8")
