@@ -1,19 +1,25 @@
-"""Sphinx configuration: `uv run sphinx-build -W docs docs/_build/html`."""
+"""Configure Sphinx: ``uv run sphinx-build -W docs docs/_build/html``."""
 
 import re
+import tempfile
+import zlib
+from pathlib import Path
 
+import numpy.typing as npt
 from docutils import nodes
+from sphinx import addnodes
+from sphinx.util.typing import stringify_annotation
 
 import shape_obs
 
-ARRAY = re.compile(r"ndarray\[tuple\[Any, \.\.\.\], dtype\[(\w+)\]\]")
+DOCS = Path(__file__).parent
 
 project = "shape_obs"
 author = "the shape_obs authors"
 version = release = shape_obs.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
-extensions += ["sphinx.ext.intersphinx", "sphinx_copybutton", "sphinx_design"]
+extensions = ["myst_parser", "sphinx_copybutton", "sphinx_design", "sphinx.ext.autodoc", "sphinx.ext.autosummary"]
+extensions += ["sphinx.ext.napoleon", "sphinx.ext.viewcode", "sphinx.ext.intersphinx"]
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 exclude_patterns = ["_build"]
@@ -23,24 +29,63 @@ copybutton_prompt_is_regexp = True
 
 autodoc_class_signature = "mixed"  # "separated" lists __init__ and __new__
 autodoc_member_order = "bysource"
-autodoc_typehints = "description"
-autodoc_typehints_description_target = "documented"
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+autosummary_generate = False
 napoleon_numpy_docstring = False
+python_maximum_signature_line_length = 88
 
 html_theme = "furo"
 html_title = f"shape_obs {version}"
 html_static_path = ["_static"]
 html_css_files = ["pages.css"]
+templates_path = ["_templates"]
 
 
-def shorten_arrays(app, domain, object_type, content):
-    """Write the types of arrays as they are written in the source."""
-    for text in list(content.findall(nodes.Text)):
-        short = ARRAY.sub(r"NDArray[\1]", text)
-        if short != text:
-            text.parent.replace(text, nodes.Text(short))
+def inventory(name):
+    """Write the inventory of another project from a text file, since a build must not need the network."""
+    address, *lines = (DOCS / "inventories" / f"{name}.txt").read_text(encoding="utf-8").splitlines()
+    entries = []
+    for line in lines:
+        role, target, page = line.split()
+        anchor = "" if "generated" in page else "#$"
+        entries.append(f"{target} {role} 1 {page}{anchor} -\n")
+    head = f"# Sphinx inventory version 2\n# Project: {name}\n# Version:\n# The remainder is compressed using zlib.\n"
+    path = Path(tempfile.gettempdir()) / f"shape_obs_docs_{name}.inv"
+    path.write_bytes(head.encode() + zlib.compress("".join(entries).encode()))
+    return address, str(path)
+
+
+intersphinx_mapping = {name: inventory(name) for name in ("python", "numpy", "gymnasium", "stable_baselines3")}
+
+# What autodoc resolves a type to, and what the source and the reader call it.
+TYPES = {
+    re.escape(stringify_annotation(npt.ArrayLike, "smart")): "~numpy.typing.ArrayLike",
+    r"~numpy\.ndarray\[tuple\[~typing\.Any, \.\.\.\], ~numpy\.dtype\[(.+?)\]\]": r"~numpy.typing.NDArray[\1]",
+    r"~gymnasium\.core\.(\w+)": r"~gymnasium.\1",
+    r"~gymnasium\.spaces\.\w+\.(\w+)": r"~gymnasium.spaces.\1",
+    r"~numpy\.random\._generator\.Generator": "~numpy.random.Generator",
+}
+ARRAY = re.compile(r"ndarray\[tuple\[Any, \.\.\.\], dtype\[(\w+)\]\]")
+
+
+def shorten_signature(app, what, name, obj, options, signature, annotation):
+    """Write types as they are written in the source."""
+    for long, short in TYPES.items():
+        signature = signature and re.sub(long, short, signature)
+        annotation = annotation and re.sub(long, short, annotation)
+    return signature, annotation
+
+
+def shorten_properties(app, doctree):
+    """Do the same for the types of properties, which have no signature."""
+    for annotation in doctree.findall(addnodes.desc_annotation):
+        text = annotation.astext()
+        if ARRAY.search(text):
+            annotation.children = [nodes.Text(ARRAY.sub(r"NDArray[\1]", text))]
 
 
 def setup(app):
-    """Run after autodoc has added the types, before they become links."""
-    app.connect("object-description-transform", shorten_arrays, priority=600)
+    """Connect the functions above."""
+    app.connect("autodoc-process-signature", shorten_signature)
+    app.connect("doctree-read", shorten_properties)

@@ -89,7 +89,7 @@ class RGBDSource(Protocol):
 
     @property
     def name(self) -> str:
-        """The name of the source in messages and files: ``"d455:123456"``, a path, or the id of an environment."""
+        """The name of the source in messages and files, such as a serial number, a path or an environment id."""
         ...
 
     @property

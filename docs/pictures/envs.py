@@ -15,7 +15,7 @@ from shape_obs.drawing import HIDDEN, VALID, draw_curve, draw_text
 from shape_obs.utils.arrays import write_gif, write_image
 
 IMAGES = Path(__file__).parent.parent / "images"
-GOAL, FIRST, PAPER = (125, 35, 150), (20, 20, 20), 6
+GOAL, FIRST, PAPER = (235, 130, 40), (20, 20, 20), 6
 ROWS, COLS = slice(75, 375), slice(120, 520)  # where things happen, of 640 x 480
 ALL_ROWS = slice(40, 430)  # of several ropes
 ENVS: dict[str, tuple[str, dict[str, Any]]] = {

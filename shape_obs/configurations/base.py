@@ -23,11 +23,16 @@ from shape_obs.spec import Spec, did_you_mean
 from shape_obs.tracking.belief import Shares, known_layout
 from shape_obs.tracking.prediction import Fit, Prediction
 
+#: Take the order of the points from the previous frame, or from the image alone.
 Order = Literal["tracked", "image"]
+#: Space points evenly in pixels, or in metres.
 Spacing = Literal["px", "m"]
+#: Fit in the image and add depth, or fit in space.
 Lift = Literal["points", "cloud"]
+#: Put the first and last point into the middle of their parts of the rope, or on its tips.
 Ends = Literal["centers", "tips"]
 Place = str | tuple[float, float] | tuple[float, float, float]
+#: Name the place of point 0, or give it as ``(u, v)`` in pixels or ``(x, y, z)`` in metres, also for each slot.
 Anchor = Place | Mapping[str, Place] | None
 Count = int | Literal["all"] | None
 Array = npt.NDArray[np.float64]

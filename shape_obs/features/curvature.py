@@ -76,7 +76,7 @@ class _Bending(Framed):
 
 @dataclass(frozen=True)
 class TurningAngles(_Bending, kind="turning_angles"):
-    """Turning angles ``phi_i = atan2(e_{i-1} x e_i, e_{i-1} . e_i)`` of the edges ``e_i = p_{i+1} - p_i``.
+    """Turning angles ``phi_i = atan2(e_{i-1} x e_i, <e_{i-1}, e_i>)`` of the edges ``e_i = p_{i+1} - p_i``.
 
     The angles are in radians, in the plane of the frame's first two axes, from the first towards the second: clockwise
     as seen in pixels and in the camera frame, counter-clockwise from above in a base frame with z up. A chain has

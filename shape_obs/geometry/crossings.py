@@ -33,7 +33,7 @@ class Crossing(NamedTuple):
 
     @property
     def sign(self) -> int:
-        """The sign of the crossing in knot theory: +1 if right-handed, -1 if left-handed, 0 if unknown.
+        """The sign of the crossing as knot theory defines it, +1 if right-handed, -1 if left-handed, 0 if unknown.
 
         A crossing is right-handed if the upper strand must be turned counter-clockwise as seen, by less than a half
         turn, to point as the lower one does. The sign of a crossing of a shape with itself does not depend on which

@@ -74,8 +74,8 @@ def find_markers(image: npt.NDArray[np.uint8], dictionary: str = DICTIONARY, sha
         sharp: Refine corners to a fraction of a pixel, which takes half a millisecond per marker.
 
     Returns:
-        For each id the corners of the marker, (4, 2) pixels: its own top left, top right, bottom right and bottom left,
-        clockwise as seen from the front. Of two markers with the same id, the larger one.
+        The ``(4, 2)`` corners of each marker in pixels, by id, in the order top left, top right, bottom right and
+        bottom left, clockwise as seen from the front. Of two markers with the same id, the larger one.
     """
     gray = as_gray(image)
     found, ids, _ = _detector(dictionary, threading.get_ident()).detectMarkers(gray)

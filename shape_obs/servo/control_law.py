@@ -63,7 +63,7 @@ class ServoLaw(ABC):
 
     @property
     def ready(self) -> bool:
-        """Whether the estimate can be used: it is finite and not zero."""
+        """Whether the estimate can be used, which it can if it is finite and not zero."""
         matrix = self.estimator.matrix
         return matrix is not None and bool(np.all(np.isfinite(matrix))) and float(np.abs(matrix).max()) > _SINGULAR
 

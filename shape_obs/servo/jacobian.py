@@ -56,7 +56,7 @@ class JacobianEstimator(ABC):
             measured: ``(F,)`` which features to learn from; None for all.
 
         Returns:
-            Whether the estimate was updated: changes must be finite and the motion not zero.
+            Whether the estimate was updated, for which changes must be finite and the motion not zero.
 
         Raises:
             ValueError: ``start`` was not called, or a size is wrong.

@@ -1,43 +1,111 @@
-"""The code samples of README and docs run, and print what they say."""
+"""Every code block of README and docs runs, or says in a comment why it does not; links lead somewhere.
+
+A ``python`` block is executed, the output of a ``pycon`` block is compared with the text, a ``yaml`` block is written
+to ``shape.yaml``, and the ``shape-obs`` commands of a ``console`` block are run in a folder with a photo, a config file
+and recordings. ``<!-- not run: REASON -->`` on the line before a block leaves it out.
+"""
 
 from __future__ import annotations
 
 import doctest
 import re
+import shlex
+import shutil
+from glob import glob
 from pathlib import Path
+from typing import NamedTuple
 
+import cv2
+import numpy as np
 import pytest
 
-from shape_obs import Segmentation
+from shape_obs import Centerline, HSVRange, Segmentation, save_config
+from shape_obs.cli import main
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-BLOCK = re.compile(r"^```(python|pycon|yaml)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-NOT_RUN = re.compile(r"^<!-- not run: [^\n]+ -->\n\Z", re.MULTILINE)
+BLOCK = re.compile(r"^(<!-- not run: (.+) -->\n)?```(python|pycon|yaml|console)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)")
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+BLUE = HSVRange((100, 120, 40), (125, 255, 255))
 
-WITH_CODE = [page for page in PAGES if BLOCK.search(page.read_text(encoding="utf-8"))]
+
+class Block(NamedTuple):
+    language: str
+    code: str
+    line: int
+    reason: str  # why it is not run, "" if it is
 
 
-@pytest.mark.parametrize("page", WITH_CODE, ids=lambda page: page.name)
-def test_samples_run(page, tmp_path, monkeypatch):
-    if "ShapeObs/" in page.read_text(encoding="utf-8"):
+def read(page: Path) -> str:
+    return page.read_text(encoding="utf-8")
+
+
+def blocks(page: Path) -> list[Block]:
+    text = read(page)
+    return [
+        Block(found[3], found[4], text[: found.start(4)].count("\n"), found[2] or "") for found in BLOCK.finditer(text)
+    ]
+
+
+def name(page: Path) -> str:
+    return str(page.relative_to(ROOT)).removeprefix("docs/")
+
+
+def commands(code: str) -> list[str]:
+    """Return the command lines of a console block, without prompts and outputs."""
+    lines = code.replace("\\\n", " ").splitlines()
+    return [line[2:] for line in lines if line.startswith("$ ")] or [line for line in lines if line and line[0] != "#"]
+
+
+WITH_CODE = [page for page in PAGES if any(not block.reason for block in blocks(page))]
+COMMANDS = [
+    (page, command)
+    for page in PAGES
+    for block in blocks(page)
+    if block.language == "console"
+    for command in commands(block.code)
+]
+
+
+@pytest.fixture(scope="module")
+def samples(tmp_path_factory):
+    """Make what the pages call rope.png, shape.yaml, cable and recordings."""
+    folder = tmp_path_factory.mktemp("samples")
+    s = np.linspace(0, 1, 400)
+    rope = np.stack([120 + 400 * s, 240 + 60 * np.sin(6 * s)], axis=1)
+    image = np.full((480, 640, 3), (190, 198, 200), np.uint8)
+    cv2.polylines(image, [np.round(rope).astype(np.int32)], False, (160, 70, 20), 17, cv2.LINE_AA)
+    cv2.imwrite(str(folder / "rope.png"), image)
+    save_config(folder / "shape.yaml", {"shapes": [Centerline(n=20)], "segmentation": BLUE})
+    for seed, recording in enumerate(("cable", "recordings/monday", "recordings/tuesday")):
+        (folder / recording).parent.mkdir(exist_ok=True)
+        run(
+            f"shape-obs record --source ShapeObs/Cable-v0 --frames 20 --set actions=random seed={seed} -o {folder / recording}"
+        )
+    return folder
+
+
+@pytest.mark.parametrize("page", WITH_CODE, ids=name)
+def test_samples_run(page, tmp_path, monkeypatch, request):
+    text = read(page)
+    wanted = [block for block in blocks(page) if not block.reason]
+    if "ShapeObs/" in text or any(block.language == "console" for block in wanted):
         pytest.importorskip("mujoco")
+    if any(block.language == "console" for block in wanted):
+        shutil.copytree(request.getfixturevalue("samples"), tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(Segmentation, "_members", dict(Segmentation._members))  # samples define kinds
-    text = page.read_text(encoding="utf-8")
     # What a sample defines must be found by name, as dataclasses and pickle do.
     names: dict[str, object] = {"__name__": "builtins"}
-    for block in BLOCK.finditer(text):
-        language, code = block.groups()
-        if NOT_RUN.search(text[: block.start()]):
-            continue
-        line = text[: block.start()].count("\n") + 1
+    for language, code, line, _ in wanted:
         if language == "yaml":
             Path("shape.yaml").write_text(code, encoding="utf-8")
         elif language == "python":
             exec(compile("\n" * line + code, str(page), "exec"), names)
+        elif language == "console":
+            for command in commands(code):
+                run(command)
         else:
             sample = doctest.DocTestParser().get_doctest(code, names, page.name, str(page), line)
             report: list[str] = []
@@ -47,14 +115,50 @@ def test_samples_run(page, tmp_path, monkeypatch):
             assert not report, "".join(report)
 
 
-@pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: page.name)
+def run(command: str) -> None:
+    """Run a command line as a shell does."""
+    program, *arguments = shlex.split(command, comments=True)
+    assert program == "shape-obs", f"{command}: only shape-obs is run; say why with <!-- not run: REASON -->"
+    expanded = [path for argument in arguments for path in (sorted(glob(argument)) or [argument])]
+    try:
+        code = main(expanded)
+    except SystemExit as end:
+        code = end.code
+    assert code in (0, None), f"{command}: exit code {code}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_every_reason_says_something(page):
+    for block in blocks(page):
+        assert not block.reason or len(block.reason.split()) >= 2, f"{name(page)}:{block.line}: {block.reason!r}"
+
+
+def test_the_commands_of_the_pages_have_only_options_that_exist(capsys):
+    known: dict[str, set[str]] = {}
+    wrong = []
+    for page, command in COMMANDS:
+        for part in re.findall(r"shape-obs ((?:bench |calibrate )?[a-z][a-z-]*)([^|;&]*)", command):
+            words, rest = part[0], part[1]
+            if words not in known:
+                with pytest.raises(SystemExit):
+                    main([*words.split(), "--help"])
+                known[words] = set(re.findall(r"--[a-z][a-z0-9-]*", capsys.readouterr().out))
+            wrong += [
+                f"{name(page)}: {words} {o}"
+                for o in re.findall(r"(?<!\S)--[a-z][a-z0-9-]*", rest)
+                if o not in known[words]
+            ]
+    assert not wrong
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=name)
 def test_links_within_the_repository_lead_somewhere(page):
-    for target in LINK.findall(page.read_text(encoding="utf-8")):
+    for target in LINK.findall(read(page)):
         assert (page.parent / target).exists(), f"{page.name}: {target}"
 
 
 def test_the_readme_has_the_two_commands_as_they_are_promised():
-    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    lines = read(ROOT / "README.md").splitlines()
     assert "pip install uv && uv run --no-dev --extra sim shape-obs demo" in lines
     assert "uv run pytest" in lines
 
@@ -74,12 +178,10 @@ def test_the_readme_has_the_two_commands_as_they_are_promised():
         "ablate",
     ],
 )
-def test_the_page_of_the_command_line_documents_every_option(command, capsys):
-    from shape_obs.cli import main
-
+def test_the_page_of_a_command_documents_every_option(command, capsys):
     with pytest.raises(SystemExit):
         main([*command.split(), "--help"])
     known = set(re.findall(r"--[a-z][a-z-]*", capsys.readouterr().out))
-    page = (ROOT / "docs" / "reference" / "cli" / f"{command.replace(' ', '-')}.md").read_text(encoding="utf-8")
+    page = read(ROOT / "docs" / "reference" / "cli" / f"{command.replace(' ', '-')}.md")
     documented = set(re.findall(r"--[a-z][a-z-]*", page))
-    assert {name for name in known if not name.startswith("--no-")} - {"--help"} == documented
+    assert {option for option in known if not option.startswith("--no-")} - {"--help"} == documented

@@ -109,7 +109,7 @@ class D455Camera:
 
 
 class D455Noise(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
-    """Add the errors of an Intel RealSense D455 to the images of an RGB-D environment; see docs/how-to/add-camera-noise.md.
+    """Add the errors of an Intel RealSense D455 to the images of an RGB-D environment.
 
     Depth gets noise, disparity steps and holes (0); colour gets noise, and an exposure and white balance that are drawn
     for each episode. Types and spaces stay the same; the rest of the observation is passed through. A plain RGB image

@@ -37,13 +37,13 @@ class RopeEnv(ShapeGoalEnv, EzPickle):
 
     @property
     def anchors(self) -> Mapping[str, tuple[float, float, float]]:
-        """Where the grippers hold the rope: name -> (x, y, z) in metres, base frame; gripper0 holds end 0."""
+        """The ``(x, y, z)`` of each gripper by its name, in metres in the base frame; gripper0 holds end 0."""
         tips = self._rope.vertices()[[0, -1]][: self._rope.spec.grippers].tolist()
         return {name: (x, y, z) for name, (x, y, z) in zip(GRIPPERS, tips, strict=False)}
 
     @property
     def goal_layout(self) -> dict[str, Any]:
-        """Layout of the points of a goal: along the rope, from end 0."""
+        """Layout of the points of a goal, along the rope from end 0."""
         return {"kind": "centerline"}
 
     @property
@@ -101,7 +101,7 @@ class RopeEnv(ShapeGoalEnv, EzPickle):
 
 
 class CableEnv(RopeEnv):
-    """Bring a rope into a goal shape with two grippers or one; see docs/envs/cable.md.
+    """Bring a rope into a goal shape with two grippers or one; see docs/reference/envs/cable.md.
 
     Args:
         grippers: 2 to hold both ends, 1 to hold end 0 of a shorter rope.

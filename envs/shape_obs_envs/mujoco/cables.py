@@ -43,7 +43,7 @@ _DRAWS: Final = 2000
 
 
 class CablesEnv(ShapeGoalEnv, EzPickle):
-    """Bring ropes of one colour, which lie over each other, into a goal shape; see docs/envs/cables.md.
+    """Bring ropes of one colour, which lie over each other, into a goal shape; see docs/reference/envs/cables.md.
 
     Args:
         ropes: Number of ropes, 2 or 3.

@@ -28,7 +28,7 @@ _PER_SIDE, _PER_EDGE, _MOST = 0.3, 0.1, 0.025
 
 
 class ClothEnv(ShapeGoalEnv, EzPickle):
-    """Bring a sheet into a goal shape with two grippers at its corners; see docs/envs/cloth.md.
+    """Bring a sheet into a goal shape with two grippers at its corners; see docs/reference/envs/cloth.md.
 
     Args:
         **options: Arguments of ``ShapeGoalEnv``.

@@ -249,7 +249,7 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
 
     @property
     def randomization(self) -> dict[str, Any]:
-        """Values drawn at the last reset, by factor: a copy of plain values; empty without ``randomize``."""
+        """A copy of the values drawn at the last reset, by factor; empty without ``randomize``."""
         return copy.deepcopy(self._randomizer.drawn)
 
     def get_state(self) -> Array:

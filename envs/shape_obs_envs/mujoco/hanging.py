@@ -40,7 +40,7 @@ _REACH: Final = 0.88
 
 
 class HangingEnv(RopeEnv):
-    """Bring a rope that hangs under gravity into a goal shape with two grippers or one; see docs/envs/hanging.md.
+    """Bring a rope that hangs under gravity into a goal with one gripper or two; see docs/reference/envs/hanging.md.
 
     Args:
         grippers: 2 to hold both ends, 1 to hold end 0 of a shorter rope.

@@ -26,7 +26,7 @@ _WORKSPACE = TwoGripperWorkspace(low=(-0.22, -0.08), high=(-0.06, 0.1), yaw=0.6,
 
 
 class RingEnv(ShapeGoalEnv, EzPickle):
-    """Bring a closed elastic band into a goal shape with two grippers; see docs/envs/ring.md.
+    """Bring a closed elastic band into a goal shape with two grippers; see docs/reference/envs/ring.md.
 
     Args:
         **options: Arguments of ``ShapeGoalEnv``.

@@ -228,14 +228,14 @@ class SimulatedRobot:
 
     @property
     def affected(self) -> dict[str, list[int]]:
-        """Fault -> numbers of the affected frames: "drop", "delay", "freeze", "black", "occluder"."""
+        """The numbers of the affected frames of each fault, "drop", "delay", "freeze", "black" and "occluder"."""
         return {kind: list(numbers) for kind, numbers in self._publisher.faults.affected.items()}
 
     # ---- the object
 
     @property
     def anchors(self) -> Mapping[str, tuple[float, ...]]:
-        """Where the grippers held the object in the last frame: name -> (x, y, z) in metres, base frame."""
+        """The ``(x, y, z)`` of each gripper in the last frame by its name, in metres in the base frame."""
         return self._publisher.anchors
 
     def truth(self, number: int) -> Array:

@@ -69,7 +69,7 @@ class Registration:
             depth_raw: Depth image of the sensor, shape ``(H, W)``, uint16 in ``depth_unit``; 0 is invalid.
 
         Returns:
-            New arrays: RGB ``(H, W, 3)`` uint8 and depth ``(H, W)`` uint16 in millimetres, 0 where invalid; both have
+            New arrays, RGB ``(H, W, 3)`` uint8 and depth ``(H, W)`` uint16 in millimetres, 0 where invalid; both have
             the intrinsics ``output``.
 
         Raises:
@@ -138,7 +138,7 @@ class RawImages:
                 that are 0 or not finite are invalid.
 
         Returns:
-            New arrays as the sensors deliver them: colour ``(H, W, 3)`` uint8 RGB and depth ``(H, W)`` uint16 in
+            New arrays as the sensors deliver them, colour ``(H, W, 3)`` uint8 RGB and depth ``(H, W)`` uint16 in
             ``depth_unit``, 0 where invalid.
 
         Raises:

@@ -242,7 +242,8 @@ def _choose(devices: Sequence[Any], serial: str | None, plugged: Sequence[str], 
     if plugged:
         raise CameraNotFound(
             f"{wanted} can be opened, though one is plugged in ({', '.join(plugged)}): install librealsense's udev "
-            "rules, unplug it and plug it in again, and close other programs that use it; see docs/tutorials/real-camera.md.",
+            "rules, unplug it and plug it in again, and close other programs that use it; see "
+            "docs/tutorials/real-camera.md.",
             serial=serial,
         )
     raise CameraNotFound(
