@@ -1,4 +1,4 @@
-"""Draw the rooms of `shape_obs` in the order of their imports: `uv run python docs/pictures/house.py`.
+"""Draw the packages of `shape_obs` in the order of their imports: `uv run python docs/pictures/house.py`.
 
 The layers come from import-linter's contract in `pyproject.toml`, the arrows from the imports themselves.
 """
@@ -25,9 +25,9 @@ DOCS = Path(__file__).parent.parent
 ENVS: Final = "shape_obs_envs"  # drawn as one room, above the wrappers
 # The lowest room of each group, its colour, and what the group is.
 GROUPS: Final = (
-    ("utils", "#dfe3ea", "what all of it uses"),
-    ("geometry", "#cfe0ff", "the way of a frame"),
-    ("metrics", "#d5efd9", "around a detector"),
+    ("utils", "#dfe3ea", "shared by all"),
+    ("geometry", "#cfe0ff", "detection"),
+    ("metrics", "#d5efd9", "around the detector"),
     ("wrappers", "#ffe3c9", "Gymnasium"),
     ("deploy", "#f6d6dc", "applications"),
 )

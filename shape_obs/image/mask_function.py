@@ -39,8 +39,8 @@ class MaskFunction(Segmentation, kind="callable"):
         >>> def dark(rgb, depth):
         ...     return rgb.max(axis=2) < 60
         >>> detector = ShapeDetector(["centerline"], segmentation=dark)  # doctest: +SKIP
-        >>> detector = ShapeDetector(["centerline"], segmentation=MaskFunction("my_lab.masks:dark", close=5))
-        ... # doctest: +SKIP
+        >>> segmentation = MaskFunction("my_lab.masks:dark", close=5)  # doctest: +SKIP
+        >>> detector = ShapeDetector(["centerline"], segmentation=segmentation)  # doctest: +SKIP
     """
 
     function: Any

@@ -54,7 +54,8 @@ class Target(Spec):
         ValueError: The points are not finite, or do not have the dimension of the frame.
 
     Example:
-        >>> Target([[0.1, 0.0, 0.01], [0.2, 0.02, 0.01], [0.3, 0.0, 0.01]], layout={"kind": "centerline"}).frame
+        >>> points = [[0.1, 0.0, 0.01], [0.2, 0.02, 0.01], [0.3, 0.0, 0.01]]
+        >>> Target(points, layout={"kind": "centerline"}).frame
         'base'
     """
 

@@ -80,9 +80,8 @@ def samples(tmp_path_factory):
     save_config(folder / "shape.yaml", {"shapes": [Centerline(n=20)], "segmentation": BLUE})
     for seed, recording in enumerate(("cable", "recordings/monday", "recordings/tuesday")):
         (folder / recording).parent.mkdir(exist_ok=True)
-        run(
-            f"shape-obs record --source ShapeObs/Cable-v0 --frames 20 --set actions=random seed={seed} -o {folder / recording}"
-        )
+        settings = f"--frames 20 --set actions=random seed={seed}"
+        run(f"shape-obs record --source ShapeObs/Cable-v0 {settings} -o {folder / recording}")
     return folder
 
 

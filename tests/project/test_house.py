@@ -12,6 +12,8 @@ PACKAGE, ENVS, TESTS = ROOT / "shape_obs", ROOT / "envs" / "shape_obs_envs", ROO
 MOST_ROOMS, MOST_FILES, MOST_LINES, MOST_SIBLINGS = 35, 436, 300, 5
 # Folders of tests that test no single room.
 WITHOUT_A_ROOM = {"project", "support"}
+CONCEPTS = ROOT / "docs" / "concepts"
+PAGES = [CONCEPTS / name for name in ("code.md", "a-frame-in-the-code.md", "add-a-stage.md")]
 
 
 def python_files(*folders: Path) -> list[Path]:
@@ -62,23 +64,25 @@ def test_each_room_has_its_place_in_the_order_of_imports(package):
 
 
 def test_the_page_lists_the_rooms_in_the_order_of_imports():
-    page = (ROOT / "docs" / "concepts" / "code.md").read_text(encoding="utf-8")
-    table = page.split("## Rooms", 1)[1].split("\n## ", 1)[0]
+    page = (CONCEPTS / "code.md").read_text(encoding="utf-8")
+    table = page.split("## Packages and modules", 1)[1].split("\n## ", 1)[0]
     listed = re.findall(r"^\| `(\w+)", table, flags=re.M)
     assert listed == [room for layer in layers("shape_obs") for room in layer]
 
 
-def test_the_page_names_files_that_exist():
-    page = (ROOT / "docs" / "concepts" / "code.md").read_text(encoding="utf-8")
-    named = set(re.findall(r"`((?:shape_obs|envs|tests|docs)/[\w/.-]+|[\w/]+\.py)`", page))
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_the_page_names_files_that_exist(page):
+    text = page.read_text(encoding="utf-8")
+    named = set(re.findall(r"`((?:shape_obs|envs|tests|docs)/[\w/.-]+|[\w/]+\.py)`", text))
     assert named
     for name in named:
         assert (ROOT / name).exists() or (PACKAGE / name).exists(), name
 
 
-def test_the_page_names_functions_that_exist():
-    page = (ROOT / "docs" / "concepts" / "code.md").read_text(encoding="utf-8")
-    named = re.findall(r"`(\w+)` in `([\w/]+\.py)`", page)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_the_page_names_functions_that_exist(page):
+    text = page.read_text(encoding="utf-8")
+    named = re.findall(r"`(\w+)` in `([\w/]+\.py)`", text)
     assert named
     for function, file in named:
         source = (PACKAGE / file).read_text(encoding="utf-8")

@@ -43,7 +43,8 @@ class Registration:
         >>> colour = Intrinsics(640, 480, 386.0, 386.0, 320.0, 240.0, "brown_conrady", (-0.05, 0.06, 0, 0, 0))
         >>> depth = Intrinsics(640, 480, 388.0, 388.0, 322.0, 238.0)
         >>> registration = Registration(colour, depth, np.eye(3), (-0.059, 0.0, 0.0))
-        >>> rgb, aligned = registration(np.zeros((480, 640, 3), np.uint8), np.full((480, 640), 620, np.uint16))
+        >>> rgb, depth = np.zeros((480, 640, 3), np.uint8), np.full((480, 640), 620, np.uint16)
+        >>> rgb, aligned = registration(rgb, depth)
         >>> int(aligned[240, 320]), registration.output.distorted
         (620, False)
     """
