@@ -236,7 +236,7 @@ PICTURES: dict[str, Callable[[], np.ndarray]] = {
     "shape_servo": shape_servo,
     "servo_robot": lambda: on_robot("servo_robot", 8),
     "deploy_loop": lambda: on_robot("deploy_loop", 4),
-    "deploy_policy": partial(part, "deployed.jpg", 1 / 3, 0, 2 / 3, 1),
+    "deploy_policy": partial(part, "deployed.jpg", 0.345, 0.06, 0.66, 1),
     "train_sac_her": partial(part, "train.jpg", 1 / 3, 0, 2 / 3, 1),
     "train_sac": lambda: starts((5, 6))[1],
     "train_ppo": lambda: four(starts((5, 6, 7, 8))),
