@@ -1,6 +1,7 @@
-"""Write a feature: where the rope lies, how it is turned, and how much it sags, in five values, and observe it.
+"""Write a feature of five values: where a rope lies, how it is turned, how much it sags.
 
-The class statement registers the kind, so that mappings and config files can name it while this module is imported.
+The class statement registers the kind: mappings and config files can name it once this module
+is imported.
 
 Run: ``uv run --extra sim examples/own_feature.py``
 """
@@ -18,9 +19,10 @@ from shape_obs.geometry.topology import Chain, Topology
 
 @dataclass(frozen=True)
 class Chord(Feature, kind="chord"):
-    """Describe a rope by the line between its ends: middle (2), direction (2), and the rope's largest distance from it.
+    """Describe a rope by the line between its ends.
 
-    Lengths are shares of the image's width, so that the bounds depend on nothing that is measured.
+    The values are the middle (2), the direction (2), and the rope's largest distance from the line.
+    Lengths are shares of the image's width, so that the bounds do not depend on measurements.
 
     Args:
         most: Largest distance from the line that is expected, image widths.
@@ -31,7 +33,7 @@ class Chord(Feature, kind="chord"):
     def bounds(self, layout: Topology, context: FeatureContext) -> tuple[np.ndarray, np.ndarray]:
         """Return the lowest and highest values, of shape (5,) each."""
         if not isinstance(layout, Chain):
-            raise ValueError(f"chord: expected a rope, whose points form a Chain, got {layout}.")
+            raise ValueError(f"chord: expected a Chain, the points of a rope, got {layout}.")
         high = np.array([1.0, context.height / context.width, 1.0, 1.0, self.most])
         return np.array([0.0, 0.0, -1.0, -1.0, 0.0]), high
 
@@ -54,10 +56,13 @@ def main() -> None:
     print("observation:", observation["observation"].shape)
     for _ in range(5):
         observation, _, _, _, info = env.step(env.action_space.sample() * 0)
-    chord = next(block for block in env.get_wrapper_attr("blocks") if block.feature.kind == "chord")
+    blocks = env.get_wrapper_attr("blocks")
+    chord = next(block for block in blocks if block.feature.kind == "chord")
     values = observation["observation"][chord.place]
-    print(f"middle {values[:2].round(2)}, direction {values[2:4].round(2)}, sag {values[4]:.2f}")
-    print("ok:", info["shape/ok"], "and within the bounds:", env.observation_space.contains(observation))
+    middle, direction, sag = values[:2], values[2:4], values[4]
+    print(f"middle {middle.round(2)}, direction {direction.round(2)}, sag {sag:.2f}")
+    inside = env.observation_space.contains(observation)
+    print("ok:", info["shape/ok"], "and within the bounds:", inside)
 
 
 if __name__ == "__main__":

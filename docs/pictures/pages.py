@@ -1,8 +1,8 @@
 """Check in a browser that no page of the built documentation is wider than the screen.
 
-``python docs/pictures/pages.py BUILT`` opens every page of the folder at 1400 and at 400 pixels. On a wide screen no code and
-no table may need a scroll bar; on a phone they may, but the page itself may not. ``--out FOLDER`` also writes pictures of the
-main pages. It needs Chromium, and reports when there is none.
+``python docs/pictures/pages.py BUILT`` opens every page of the folder at 1400 and at 400 pixels. On a wide screen no
+code and no table may need a scroll bar; on a phone they may, but the page itself may not. ``--out FOLDER`` also writes
+pictures of the main pages. It needs Chromium, and reports when there is none.
 """
 
 import argparse
@@ -11,9 +11,9 @@ import sys
 from pathlib import Path
 
 MAIN = (
-    "index", "start/five-minutes", "start/which-parts", "tutorials/first-vector", "how-to/index", "how-to/segment-by-clicking",
-    "concepts/validity", "concepts/what-can-go-wrong", "reference/configuration", "reference/cli/deploy",
-    "reference/api/wrappers", "benchmarks/index", "benchmarks/table-1", "examples",
+    "index", "start/five-minutes", "start/which-parts", "tutorials/first-vector", "how-to/index",
+    "how-to/segment-by-clicking", "concepts/validity", "concepts/what-can-go-wrong", "reference/configuration",
+    "reference/cli/deploy", "reference/api/wrappers", "benchmarks/index", "benchmarks/table-1", "examples",
 )  # fmt: skip
 WIDTHS = {1400: "pre, .table-wrapper", 400: ""}
 WIDER = r"""selector => {

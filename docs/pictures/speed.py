@@ -1,4 +1,4 @@
-"""The tables and pictures of 'Speed', from what was measured:
+"""Fill the pages on speed and draw their pictures, from the results of two commands:
 
 shape-obs bench peers --json > peers.json
 shape-obs bench latency --memory 100000 --json > latency.json
@@ -25,6 +25,7 @@ PAGES = {"peers": DOCS / "benchmarks" / "speed-methods.md", "latency": DOCS / "b
 IMAGES = DOCS / "images"
 OURS, THEIRS, INK = "#2d55c8", "#c8cdd6", "#1e1e1e"
 STAGES = ("#2d55c8", "#7f9be8", "#e17828", "#f0b98d", "#3c9650", "#c8cdd6")
+METHODS = ("one pass: sumElems", "classic segmentation, full frame", "shape_obs, warm", "shape_obs, cold")
 BLOCK = r"(<!-- {name} -->\n).*?(<!-- end -->)"
 Document = dict[str, Any]
 Row = dict[str, Any]
@@ -113,18 +114,21 @@ def _machine(document: Document) -> str:
 
 def _asked(claims: list[Row]) -> str:
     reached = {"yes": "yes", "no": "**no**", "not measured": "not measured"}
-    rows = ((row["what"], row["asked"], number(row["seen"]), reached[row["reached"]]) for row in claims)
-    return table(("What", "Asked", "Seen", "Reached"), rows)
+    rows = ((row["what"], row["asked"], _with_unit(row), reached[row["reached"]]) for row in claims)
+    return table(("What", "Target", "Measured", "Reached"), rows)
+
+
+def _with_unit(claim: Row) -> str:
+    """Return the measured value with the unit of its target, as "x", " %" or " MB"."""
+    unit = re.sub(r"^\S+ [\d.]+", "", claim["asked"])
+    return number(claim["seen"]) + ("" if claim["seen"] is None else unit)
 
 
 def _peers(part: Document) -> str:
-    head = (
-        "Method", "Frames", "Median [ms]", "Over ours", "Silhouette", "Calinski-Harabasz", "Spacing CV"
-    )  # fmt: skip
+    head = ("Method", "Median [ms]", "Over ours", "SC", "CH", "Spacing CV")
     rows = [
         (
             f"**{row['method']}**" if _is_ours(row) else row["method"],
-            str(row["frames"]),
             number(row["median_ms"]),
             number(row["over_ours"]),
             f"{row['sc']:.3f}",
@@ -134,7 +138,11 @@ def _peers(part: Document) -> str:
         for row in part["rows"]
     ]
     refused = f" {part['refused']} detections were refused." if part["refused"] else ""
-    return f"{part['points']} points from {part['samples']} pixels (median).{refused}\n\n{table(head, rows)}"
+    caption = f"{part['points']} points from {part['samples']} pixels (median), {part['frames']} frames.{refused}"
+    slow = [row for row in part["rows"] if row["frames"] < part["frames"]]
+    if slow:
+        caption += f" On {slow[0]['frames']} frames only: {', '.join(row['method'] for row in slow)}."
+    return f"{caption}\n\n{table(head, rows)}"
 
 
 def _losses(document: Document) -> str:
@@ -158,23 +166,48 @@ def _losses(document: Document) -> str:
 
 
 def _totals(rows: list[Row]) -> str:
-    head = ("Image", "Method", "Median [ms]", "95 % within [ms]", "Passes over the image", "Times faster than classic")
-    keys = ("median_ms", "p95_ms", "passes", "faster_than_classic")
-    return table(head, ((row["image"], row["method"], *(number(row[key]) for key in keys)) for row in rows))
+    """Return a table of times, and one of their ratios to a pass over the image and to the classic segmentation."""
+    found = {(row["image"], row["method"]): row for row in rows}
+    images = list(dict.fromkeys(row["image"] for row in rows))
+
+    def time(image: str, method: str) -> str:
+        row = found.get((image, method))
+        return "–" if row is None else f"{number(row['median_ms'])} ({number(row['p95_ms'])})"
+
+    def ratio(image: str, method: str, key: str) -> str:
+        row = found.get((image, method))
+        return "–" if row is None else number(row[key])
+
+    head = ("Image", "One pass [ms]", "Classic [ms]", "Warm [ms]", "Cold [ms]")
+    times = [(image, *(time(image, method) for method in METHODS)) for image in images]
+    ours, keys = METHODS[2:], ("passes", "faster_than_classic")
+    compared = [(image, *(ratio(image, method, key) for key in keys for method in ours)) for image in images]
+    heads = ("Image", "Warm: passes", "Cold: passes", "Warm: times faster than classic", "Cold: times faster")
+    return f"{table(head, times)}\n\n{table(heads, compared)}"
 
 
 def _stages(rows: list[Row]) -> str:
     names = list(rows[0])[2:]
-    head = ("Image", "Method", *(name.capitalize() for name in names))
-    return table(head, ((row["image"], row["method"], *(number(row[name]) for name in names)) for row in rows))
+    head = ("Image, detector", *(name.capitalize() for name in names))
+    return table(
+        head,
+        (
+            (f"{row['image']}, {row['method'].removeprefix('shape_obs, ')}", *(number(row[name]) for name in names))
+            for row in rows
+        ),
+    )
 
 
 def _growth(rows: list[Row]) -> str:
-    head = ("What grows", "To", "Median [ms]", "Times the smallest")
-    return table(
-        head,
-        ((row["grows"], str(row["amount"]), number(row["median_ms"]), number(row["times_smallest"])) for row in rows),
-    )
+    """Return one line for each thing that grows."""
+    lines = []
+    for grows in dict.fromkeys(row["grows"] for row in rows):
+        curve = [row for row in rows if row["grows"] == grows]
+        amounts, times = ([row[key] for row in curve] for key in ("amount", "median_ms"))
+        lines.append(
+            (grows, ", ".join(map(str, amounts)), ", ".join(map(number, times)), number(curve[-1]["times_smallest"]))
+        )
+    return table(("What grows", "Numbers", "Median [ms]", "Largest over smallest"), lines)
 
 
 def draw_peers(works: dict[str, Document]) -> Any:

@@ -79,8 +79,11 @@ def test_it_says_where_it_loses(speed):
     blocks = speed.blocks(RESULTS)
     assert "- rope: a fast one takes 0.5 times as long as ours." in blocks["losses"]
     assert "a slow one has a Calinski-Harabasz score 10.0 % higher, has a silhouette 0.010 higher." in blocks["losses"]
-    assert "| a figure | >= 2x | 1.5 | **no** |" in blocks["asked peers"]
-    assert "| a slow one | 3 | 1 234 | 1 234 | 0.460 | 1 100 | 2.0 % |" in blocks["rope"]
+    assert "| 640 x 480 | 1 (2) | – | 1 (2) | – |" in blocks["totals"]
+    assert "| 640 x 480, warm | 0.5 | 1 |" in blocks["stages"]
+    assert "| shapes | 1, 10 | 1, 1 | 1 |" in blocks["growth"]
+    assert "| a figure | >= 2x | 1.5x | **no** |" in blocks["asked peers"]
+    assert "| a slow one | 1 234 | 1 234 | 0.460 | 1 100 | 2.0 % |" in blocks["rope"]
 
 
 def test_every_picture_of_the_pages_is_drawn_and_small(speed, pages, tmp_path):

@@ -189,7 +189,7 @@ class TestCommand:
     def test_the_page_says_what_was_done(self, outlines):
         _, printed = outlines
         assert "10 frames of each configuration, seed 0. SC, the silhouette: of all pixels. CH" in printed
-        assert "of 2000 pixels drawn by lot" in markdown(Plan(60), {}, [], [], [])
+        assert "of 2000 pixels drawn at random" in markdown(Plan(60), {}, [], [], [])
         assert "findContours, every pixel" in printed
         assert "| ours | 0." in printed
         assert "ranking" not in printed, "there is none without all configurations"
@@ -210,20 +210,24 @@ class TestCommand:
         assert {trace["tracing"] for trace in values["tracings"]} == {"contours", "corners"}
         assert values["tracings"][0]["points"][0] < values["tracings"][0]["points"][2], "no fixed number"
 
-    def test_the_page_of_the_docs_is_filled(self, outlines, tmp_path):
+    def test_the_pages_of_the_docs_are_filled(self, outlines, tmp_path):
         import runpy
 
         docs = Path(__file__).parents[2] / "docs"
         script = runpy.run_path(str(docs / "pictures" / "table.py"))
-        page = tmp_path / "page.md"
-        page.write_text((docs / "benchmarks" / "table-1.md").read_text(encoding="utf-8"), encoding="utf-8")
-        script["main"].__globals__.update(PAGE=page, IMAGES=tmp_path)
+        names = {"table": "table-1.md", "details": "table-1-configurations.md"}
+        before = {block: (docs / "benchmarks" / name).read_text(encoding="utf-8") for block, name in names.items()}
+        pages = {block: tmp_path / name for block, name in names.items()}
+        for block, page in pages.items():
+            page.write_text(before[block], encoding="utf-8")
+        script["main"].__globals__.update(PAGES=pages, IMAGES=tmp_path)
         for _ in range(2):
             script["main"](outlines[0])
-        text = page.read_text(encoding="utf-8")
-        assert text.count("10 frames of each configuration, seed 0.") == 1
-        assert "\n### Contour, N = 32" in text
-        assert text.endswith((docs / "benchmarks" / "table-1.md").read_text(encoding="utf-8").split("<!-- end -->")[1])
+        after = {block: page.read_text(encoding="utf-8") for block, page in pages.items()}
+        assert after["table"].count("10 frames of each configuration, seed 0.") == 1
+        assert after["details"].count("\n## Contour, N = 32") == 1
+        for block, text in after.items():
+            assert text.endswith(before[block].split("<!-- end -->")[1])
         assert (tmp_path / "table_bars.png").stat().st_size == (outlines[0] / "bars.png").stat().st_size
 
     @pytest.mark.parametrize(
@@ -273,8 +277,8 @@ def test_the_ranking_counts_pairs_on_equal_frames():
     assert [r.method for r in summary if r.configuration == "all"] == list(METHODS)
     assert summary[0].sc_half_interval > 10 * 0.1, "an episode counts as one"
     page = markdown(plan, {"cores": "2"}, summary, found, [])
-    assert "By silhouette the paper's ranking" in page
-    assert "| KMA | 0.254 |" in page
+    assert "| silhouette | yes | GMM > SOM (paper's) > FCM > KMA | GMM > SOM (paper's) > " in page
+    assert "| KMA | 0.254, " in page
 
 
 def test_thinning_gives_another_number_of_points_in_every_frame(tmp_path):

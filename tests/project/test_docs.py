@@ -19,6 +19,8 @@ import cv2
 import numpy as np
 import pytest
 
+import shape_obs.image.clicked_colours
+import shape_obs.image.mask_function  # noqa: F401  # kinds that a page may import while members are patched
 from shape_obs import Centerline, HSVRange, Segmentation, save_config
 from shape_obs.cli import main
 

@@ -26,7 +26,7 @@ def markdown(
     plan: Plan, machine: Mapping[str, str], found: Sequence[Row], ranked: Sequence[Row], traces: Sequence[Row]
 ) -> str:
     """Return the results as one page."""
-    blocks = [_preface(plan, found), _ran_on(machine), _overall(found), *map(_verdict, ranked), _beaten(found)]
+    blocks = [_preface(plan, found), _ran_on(machine), _overall(found), _rankings(ranked), _beaten(found)]
     blocks += [_configuration(name, found) for name in CONFIGURATIONS]
     blocks.append(_tracings(traces))
     return "\n\n".join(block for block in blocks if block) + "\n"
@@ -43,17 +43,15 @@ def as_values(
 
 def _preface(plan: Plan, found: Sequence[Row]) -> str:
     exact = (
-        f" on {EXACT} evenly spaced frames of each configuration, on the others of {SAMPLED} pixels drawn by lot, each "
-        "against all pixels"
+        f" on {EXACT} evenly spaced frames of each configuration, on the others of {SAMPLED} pixels drawn at random, "
+        "each against all pixels"
     )
     lines = [
         f"{plan.frames} frames of each configuration, seed {plan.seed}. SC, the silhouette: of all pixels"
-        f"{exact if plan.frames > EXACT else ''}. CH, the Calinski-Harabasz score: always of all pixels. A pixel "
-        "belongs to the nearest point. After ±: half the 95 % interval of the mean, an episode of frames counting as "
-        "one.",
-        f"Time, by the {plan.clock} clock: of a clusterer from the pixels to its centres, cold in every frame; of ours "
-        "from the mask to the ordered points, tracked, as it is used. The clusterers' centres were sorted along our "
-        "form, which is not timed.",
+        f"{exact if plan.frames > EXACT else ''}. CH, the Calinski-Harabasz score: of all pixels. After ±: "
+        "half the 95 % interval of the mean, where an episode counts as one value.",
+        f"Time, by the {plan.clock} clock. Clusterers: from the pixels to the centres, cold in every frame, without "
+        "the sorting along our form. Ours: from the mask to the ordered points, tracked.",
     ]
     refused = {result.configuration: result.refused for result in found if result.refused}
     if refused:
@@ -66,25 +64,33 @@ def _overall(found: Sequence[Row]) -> str:
     for result in (result for result in found if result.configuration == "all"):
         row = {"": LABELS[result.method]}
         for measure, head in _COLUMNS.items():
-            row |= {f"{head}, paper": _of_paper(result.method, measure), head: _shown(result, measure)}
-        rows.append({**row, **_quality(result)})
+            row[f"{head}: paper, here"] = f"{_of_paper(result.method, measure)}, {_shown(result, measure)}"
+        row |= {"gap CV": _percent(result.cv), "order right": _percent(result.ordered)}
+        rows.append(row)
     return "## All three configurations\n\n" + as_markdown(rows) if rows else ""
 
 
 def _configuration(name: str, found: Sequence[Row]) -> str:
-    rows = []
     of = [result for result in found if result.configuration == name]
+    if not of:
+        return ""
+    rows, settled = [], []
     for result in of:
         has_order = result.method in ("som", "kohonen")
         row = {"": LABELS[result.method]} | {head: _shown(result, measure) for measure, head in _COLUMNS.items()}
-        row |= _quality(result)
-        row["own order right"] = f"{100 * result.own_order:.1f} %" if has_order else "none"
-        rows.append({**row, "settled": "" if has_order else f"{100 * result.settled:.0f} %"})
-    return f"## {_HEADS[name]}, M = {of[0].pixels:.0f}\n\n" + as_markdown(rows) if rows else ""
+        own = _percent(result.own_order) if has_order else "none"
+        row |= {"gap CV": _percent(result.cv), "order right, own": f"{_percent(result.ordered)}, {own}"}
+        rows.append(row)
+        if not has_order:
+            settled.append(f"{LABELS[result.method]} {100 * result.settled:.0f} %")
+    blocks = [f"## {_HEADS[name]}, M = {of[0].pixels:.0f}", as_markdown(rows)]
+    if settled:
+        blocks.append(f"Settled: {', '.join(settled)}.")
+    return "\n\n".join(blocks)
 
 
-def _quality(result: Row) -> dict[str, str]:
-    return {"gap CV": f"{100 * result.cv:.1f} %", "order right": f"{100 * result.ordered:.1f} %"}
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
 
 
 def _ran_on(machine: Mapping[str, str]) -> str:
@@ -106,41 +112,51 @@ def _beaten(found: Sequence[Row]) -> str:
     return "Ours does not have the best mean in:\n\n" + "\n".join(lines) if lines else ""
 
 
-def _verdict(ranking: Row) -> str:
-    paper, here = (" > ".join(LABELS[method] for method in order) for order in (ranking.paper, ranking.here))
-    word = "holds" if ranking.holds else "does not hold"
-    open_ones = 6 - ranking.pairs - ranking.against
-    return (
-        f"By {MEASURES[ranking.measure]} the paper's ranking {word}, best first: {paper} there, {here} here. Of the "
-        f"six pairs {ranking.pairs} come out as in the paper, {ranking.against} the other way round, {open_ones} are "
-        "undecided."
-    )
+def _rankings(ranked: Sequence[Row]) -> str:
+    """Compare the order of the paper's methods by each measure with that of the paper, as a whole and pair by pair."""
+    rows = []
+    for ranking in ranked:
+        paper, here = (" > ".join(LABELS[method] for method in order) for order in (ranking.paper, ranking.here))
+        open_ones = 6 - ranking.pairs - ranking.against
+        rows.append({
+            "by": MEASURES[ranking.measure],
+            "holds": "yes" if ranking.holds else "**no**",
+            "in the paper, best first": paper,
+            "here, best first": here,
+            "pairs": f"{ranking.pairs}, {ranking.against}, {open_ones}",
+        })  # fmt: skip
+    title = "The paper's ranking. Of the six pairs of methods: as in the paper, reversed, undecided."
+    return f"{title}\n\n{as_markdown(rows)}" if rows else ""
 
 
 def _tracings(traces: Sequence[Row]) -> str:
     rows = [
         {
-            "": TRACED[trace.tracing],
-            "of": OF[trace.tracing],
-            "points: least / median / most": " / ".join(map(str, trace.points)),
-            "another number than the frame before": f"{100 * trace.changed:.0f} %",
-            "first point wanders over the material: median, most": ", ".join(f"{100 * x:.1f} %" for x in trace.moved),
+            "": f"{TRACED[trace.tracing]} ({OF[trace.tracing]})",
+            "points: least, median, most": ", ".join(map(str, trace.points)),
+            "number changes": f"{100 * trace.changed:.0f} %",
+            "first point wanders: median, most": ", ".join(_percent(x) for x in trace.moved),
             "order right": f"{100 * trace.ordered:.0f} %",
-            "ends, most": str(trace.tips) if OF[trace.tracing] == "centerline" else "",
             "time [s]": f"{trace.ms * 1e-3:.4f}",
         }
         for trace in traces
     ]
+    ends = [
+        f"{TRACED[trace.tracing].capitalize()} has up to {trace.tips} ends."
+        for trace in traces
+        if OF[trace.tracing] == "centerline"
+    ]
     skipped = [f"{TRACED[tracing]}: skipped, {missing(tracing)}." for tracing in OF if missing(tracing)]
     if not rows and not skipped:
         return ""
-    return "\n\n".join(["## Tracing has no fixed sampling", *([as_markdown(rows)] if rows else []), *skipped])
+    blocks = ["## Tracing has no fixed sampling", *([as_markdown(rows)] if rows else []), *ends, *skipped]
+    return "\n\n".join(blocks)
 
 
 def _of_paper(method: Method, measure: str) -> str:
     factor, _ = _SHOWN[measure]
     value = PAPER.get(method, {}).get(measure)
-    return "" if value is None else f"{value * factor:g}"
+    return "–" if value is None else f"{value * factor:g}"
 
 
 def _shown(result: Row, measure: str) -> str:
