@@ -10,6 +10,7 @@ import numpy as np
 
 from shape_obs.ablation.statistics import LEVELS, ArmSummary, Interval, groups
 from shape_obs.ablation.study import Study
+from shape_obs.utils.errors import install_hint
 from shape_obs.utils.files import write_text, write_whole
 
 Summary = Mapping[str, ArmSummary]
@@ -135,7 +136,7 @@ def need_matplotlib() -> None:
     try:
         import matplotlib  # noqa: F401
     except ImportError as error:
-        raise ImportError("the pictures need Matplotlib: pip install 'shape-obs[viz]'") from error
+        raise ImportError(f"the pictures need Matplotlib: {install_hint('viz')}") from error
 
 
 def draw(study: Study, summary: Summary, root: Path) -> list[Path]:

@@ -14,23 +14,23 @@ from importlib import import_module
 from typing import Final
 
 from shape_obs import __version__
-from shape_obs.utils.errors import UsageError, did_you_mean
+from shape_obs.utils.errors import UsageError, did_you_mean, hint_at_extra
 
 COMMANDS: Final = {
     "demo": "run an episode of the simulated cable and draw the points",
-    "tune": "choose the settings on a web page",
+    "tune": "choose the settings of a detector on a web page",
     "detect": "find the shape in image files",
     "record": "record frames from a camera, a file or an environment",
     "replay": "find the shape in every frame of a recording",
     "view": "show a recording in the rerun viewer",
     "extract": "find the shapes in many recordings, as a Parquet dataset",
     "fit-features": "fit principal components to recorded shapes",
-    "goal": "record the shape that the camera sees now as a goal",
-    "ablate": "train with different observations, and compare the results",
-    "deploy": "run a policy or a controller on a robot, from the camera alone",
+    "goal": "record the current shape as a goal",
+    "ablate": "train with different observations and compare the results",
+    "deploy": "run a policy or a controller on a robot with a camera",
     "markers": "draw markers or a calibration board to print",
     "calibrate": "measure a camera's intrinsics, and its pose in the base frame",
-    "bench": "measure accuracy, time and quality",
+    "bench": "measure accuracy, speed and quality",
 }
 _GROUPS: Final = ("calibrate", "bench")  # commands with subcommands
 
@@ -63,7 +63,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except (ValueError, TypeError, OSError, ImportError) as error:
-        message = " ".join(str(error).split()) or type(error).__name__
+        message = (" ".join(str(error).split()) or type(error).__name__) + hint_at_extra(error)
         print(f"{prog}: {message}", file=sys.stderr)
         sys.exit(2 if isinstance(error, UsageError) else 1)
     except KeyboardInterrupt as interrupt:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Arguments:
-    """Train every arm of a study with every seed, and compare their errors in millimetres of the true points.
+    """Train every arm of a study with every seed, and compare the errors of the true points in millimetres.
 
     When the command runs again, finished runs are kept and interrupted ones restart from their seed. The exit code is 1
     if a run failed.
@@ -34,7 +34,7 @@ class Arguments:
     out: Annotated[Path, Option("FOLDER", "output", "-o")]
     """Folder for the runs and the results."""
     jobs: Annotated[int | None, Option("N", "processing", least=1)] = None
-    """Number of parallel runs: processes, default 1; with Ray, cores of the cluster that is started here."""
+    """Number of parallel runs, default 1; with Ray, number of cores of the cluster started on this machine."""
     engine: Annotated[Literal["local", "ray"], Option(group="processing")] = "local"
     """Run in processes of this machine, or on a Ray cluster."""
     address: Annotated[str | None, Option("ADDRESS", "processing")] = None

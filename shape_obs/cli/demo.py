@@ -33,10 +33,10 @@ class Arguments:
     camera: Annotated[Literal["d455", "rl"], Option(group="camera")] = "d455"
     """The simulated camera: 640 x 480 or 160 x 120."""
     renderer: Annotated[Literal["auto", "gl", "rays"], Option(group="camera")] = "auto"
-    """OpenGL, ray casting, or the first of them that is available."""
+    """OpenGL, ray casting, or 'auto': OpenGL where available, else ray casting."""
     rerun: Annotated[str | None, Option(TARGET, "output", check=check_target)] = None
-    """Log the episode to rerun: to FILE.rrd, or to the viewer with an address; without a value it opens the viewer, or
-    where there is no display writes OUT/demo.rrd (needs the extra 'rerun')."""
+    """Log the episode to rerun: to FILE.rrd, or to a running viewer by its address. Without a value, open the viewer,
+    or write OUT/demo.rrd if there is no display (needs the extra 'rerun')."""
 
 
 @dataclass

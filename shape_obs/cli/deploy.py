@@ -20,25 +20,25 @@ from shape_obs.utils.errors import UsageError
 
 @dataclass(frozen=True)
 class Arguments(ControllerArguments):
-    """Run a trained policy, or another controller, on a robot at a fixed rate, from the camera alone.
+    """Run a trained policy or another controller on a robot at a fixed rate, using only the camera.
 
-    However the run ends, the robot is stopped, sent to its safe pose and disconnected, also on Ctrl-C, SIGTERM, SIGHUP
-    and SIGQUIT. The exit code is 1 if the camera or the robot failed, the shape stayed lost, or the loop hung, and 128
-    plus the signal's number after a signal.
+    At the end of every run the robot is stopped, sent to its safe pose and disconnected, also after Ctrl-C, SIGTERM,
+    SIGHUP and SIGQUIT. The exit code is 1 if the camera or the robot failed, the shape stayed lost, or the loop hung,
+    and 128 plus the signal's number after a signal.
     """
 
     seconds: Annotated[float, Option("SECONDS", "run", above=0)] = 60.0
     """Longest duration of the run; inf for no limit."""
     until_reached: Annotated[int, Option("N", "run", least=0)] = 0
-    """End the run when the goal has been reached in this many consecutive frames; 0 never ends it for that reason."""
+    """End the run when the goal has been reached in this many consecutive frames; 0: do not end it."""
     hold: Annotated[float, Option("SECONDS", "safety", least=0)] = 0.5
     """Seconds to wait without moving for a lost or old shape before the run ends."""
     min_valid: Annotated[float, Option("SHARE", "safety", least=0, most=1)] = 0.5
     """Share of the points that must be measured."""
     max_age: Annotated[float, Option("SECONDS", "safety", above=0)] = 0.2
-    """Largest age in seconds, since its exposure, of an image to act on; motions end after that time."""
+    """Largest age of an image to act on, in seconds since its exposure; motions end after that time."""
     watchdog: Annotated[float, Option("SECONDS", "safety", above=0)] = 2.0
-    """Seconds after which a loop that hangs is ended; its motion has ended after --max-age."""
+    """Seconds after which a hanging loop is ended; its motion ends earlier, after --max-age."""
     max_step: Annotated[tuple[float, ...] | None, Option("X ...", "safety")] = None
     """Largest change of each coordinate in one step, in the robot's units."""
     workspace_low: Annotated[tuple[float, ...] | None, Option("X ...", "safety")] = None
@@ -52,10 +52,10 @@ class Arguments(ControllerArguments):
     record: Annotated[Path | None, Option("FOLDER", "output")] = None
     """Folder for a recording of the run: frames, actions, rewards and the robot's state; see `shape-obs replay`."""
     view: Annotated[int | None, Option("PORT", "output", least=0, most=65535)] = None
-    """Port of a web page that shows what the camera sees; needs the extra 'view'."""
+    """Port of a web page that shows the camera's image and the shapes (needs the extra 'view')."""
     rerun: Annotated[str | None, Option(TARGET, "output", check=check_target)] = None
-    """Log the run to rerun: to FILE.rrd, or to the viewer with an address; without a value it opens the viewer, or
-    where there is no display writes a file next to --log, else deploy.rrd (needs the extra 'rerun')."""
+    """Log the run to rerun: to FILE.rrd, or to a running viewer by its address. Without a value, open the viewer, or,
+    if there is no display, write a file next to --log or else deploy.rrd (needs the extra 'rerun')."""
     json: Annotated[bool, Option(group="output")] = False
     """Print the report as JSON."""
 

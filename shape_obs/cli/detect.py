@@ -28,7 +28,7 @@ _Bounds: TypeAlias = tuple[int, int, int, int, int, int]
 class Arguments:
     """Find the shape in image files.
 
-    Prints one line of JSON per image to stdout and one for people to stderr, and writes each image with the points
+    Prints one line of JSON per image to stdout and a readable line to stderr, and writes each image with the points
     drawn over it to a folder. The exit code is 1 if a file could not be read or a shape was not found.
 
     Describe how the object looks with one of --config, --hsv, --segmentation and --pick.
@@ -47,7 +47,7 @@ class Arguments:
     """A pixel on the object in the first image; may be repeated. The colours of the object are learned and written to
     --save-config."""
     not_: Annotated[tuple[str, ...], Option("U,V", "object"), UseAppendAction] = ()
-    """A pixel that is not on the object, though --pick alone takes it; may be repeated."""
+    """A pixel that is not on the object but is matched by --pick alone; may be repeated."""
     shape: Annotated[Literal["centerline", "contour", "surface"] | None, Option(group="shape")] = None
     """Form of the object: 'centerline' for ropes and cables, 'contour' for outlines, 'surface' for cloth. Default: the
     shapes of the config, or 'centerline'."""
@@ -56,7 +56,7 @@ class Arguments:
     ends: Annotated[Literal["centers", "tips"] | None, Option(group="shape")] = None
     """'centers': points at the centres of equal pieces; 'tips': first and last point on the ends of the object."""
     count: Annotated[str | None, Option("K|all", "shape")] = None
-    """How many objects of one colour to find, each in a slot of its own: a number, or 'all'."""
+    """How many objects of one colour to find, each in its own slot: a number, or 'all'."""
     depth: Annotated[tuple[Path, ...], Option("FILE ...", "image")] = ()
     """Depth files, one per image and aligned to it: 16-bit PNG in millimetres, or .npy (uint16 mm, float m)."""
     intrinsics: Annotated[tuple[float, float, float, float] | None, Option("FX FY CX CY", "image")] = None

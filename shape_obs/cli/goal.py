@@ -16,7 +16,7 @@ from shape_obs.utils.errors import UsageError
 
 @dataclass(frozen=True)
 class Arguments(RobotArguments):
-    """Record the shape that the camera sees now as a goal: lay the object into its goal shape, then run this.
+    """Record the current shape as a goal: lay the object into its goal shape, then run this command.
 
     With --robot, the points are numbered from where the robot holds the object; the robot's state is read, and it does
     not move.

@@ -29,7 +29,8 @@ _REALSENSE: Final = re.compile(r"d4\d\d(?::|$)", re.IGNORECASE)
 class Arguments:
     """Record frames from a camera, a file or an environment.
 
-    Of an environment, also actions, rewards, ends of episodes and the robot's state are recorded.
+    Recordings of an environment also contain actions, rewards, ends of episodes and the robot's state.
+
     Ctrl-C ends a recording cleanly. After an error the frames that were written are kept. The exit code is 1 if the
     source failed.
     """
@@ -50,8 +51,8 @@ class Arguments:
     set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
     """Arguments of the source, such as exposure=0.01, or seed=1 actions=random for an environment."""
     rerun: Annotated[str | None, Option(TARGET, "output", check=check_target)] = None
-    """Also log the frames to rerun: to FILE.rrd, or to the viewer with an address; without a value it opens the viewer,
-    or where there is no display writes OUT.rrd (needs the extra 'rerun')."""
+    """Also log the frames to rerun: to FILE.rrd, or to a running viewer by its address. Without a value, open the
+    viewer, or write OUT.rrd if there is no display (needs the extra 'rerun')."""
     json: Annotated[bool, Option(group="output")] = False
     """Print the summary as JSON."""
 

@@ -43,8 +43,8 @@ class Arguments:
     video: Annotated[Path | None, Option("FILE", "output")] = None
     """Write the frames with the shapes drawn over them: .mp4 (H.264 with the extra 'video'), .avi or .gif."""
     rerun: Annotated[str | None, Option(TARGET, "output", check=check_target)] = None
-    """Log frames, shapes and features to rerun: to FILE.rrd, or to the viewer with an address; without a value it opens
-    the viewer, or where there is no display writes a file next to the first output (needs the extra 'rerun')."""
+    """Log frames, shapes and features to rerun: to FILE.rrd, or to a running viewer by its address. Without a value,
+    open the viewer, or write a file next to the first output if there is no display (needs the extra 'rerun')."""
     frames: Annotated[int | None, Option("N", "source", least=1)] = None
     """Largest number of frames."""
     extrinsics: Annotated[Path | None, Option("FILE", "source", existing="file of extrinsics")] = None

@@ -35,7 +35,7 @@ class Arguments:
     read_only: Annotated[bool, Option(group="settings")] = False
     """Show everything, but change and save nothing."""
     port: Annotated[int, Option("N", "page", least=0, most=65535)] = 8600
-    """Port of the page; 0 for any that is free."""
+    """Port of the page; 0 for any free port."""
     host: Annotated[str, Option("ADDRESS", "page")] = "127.0.0.1"
     """Network interface that serves the page; 0.0.0.0 for all. The URL then contains a token, without which requests
     are refused."""
@@ -48,7 +48,7 @@ class Arguments:
     depth: Annotated[Path | None, Option("FILE", "source", existing="depth file")] = None
     """The depth of a photo, aligned to it: 16-bit PNG in millimetres, or .npy (uint16 mm, float m)."""
     intrinsics: Annotated[tuple[float, float, float, float] | None, Option("FX FY CX CY", "source")] = None
-    """Of a photo, in pixels; with --depth they give 3D points."""
+    """fx fy cx cy of a photo in pixels; needed with --depth, for 3D points."""
 
 
 def main(argv: Sequence[str]) -> int:

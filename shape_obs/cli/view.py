@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 class Arguments:
     """Show a recording in rerun: images, depth as a cloud, and with --config the shapes.
 
-    Without --out it opens the rerun viewer; where there is no display it writes RECORDING.rrd into the working folder.
-    Ctrl-C ends it, and the file holds the frames up to then. It needs the extra 'rerun'.
+    Without --out it opens the rerun viewer, or, if there is no display, writes RECORDING.rrd into the working folder.
+    After Ctrl-C the file contains the frames up to that point. It needs the extra 'rerun'.
     """
 
     recording: Annotated[str, Option("RECORDING", positional=True, check=check_source)]

@@ -19,7 +19,7 @@ class RerunView:
         env: The running environment, with a robot; if it has goals, its ``targets`` are logged too.
 
     Raises:
-        ImportError: rerun is not installed; ``pip install 'shape-obs[rerun]'``.
+        ImportError: rerun is not installed; the extra ``rerun`` installs it.
     """
 
     def __init__(self, recording: Any, env: Any) -> None:

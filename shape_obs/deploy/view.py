@@ -11,6 +11,7 @@ import numpy as np
 
 from shape_obs.deploy.loop import Step
 from shape_obs.drawing import draw_detection
+from shape_obs.utils.errors import install_hint
 from shape_obs.utils.newest import Newest
 
 GOAL = (235, 130, 40)
@@ -26,7 +27,7 @@ class LiveView:
         env: The running environment; if it has goals, its ``targets`` are drawn too.
 
     Raises:
-        ImportError: viser is not installed; ``pip install 'shape-obs[view]'``.
+        ImportError: viser is not installed; the extra ``view`` installs it.
         OSError: The port is in use.
 
     Attributes:
@@ -37,7 +38,7 @@ class LiveView:
         try:
             import viser
         except ImportError as error:
-            raise ImportError("a live view needs viser: pip install 'shape-obs[view]'") from error
+            raise ImportError(f"a live view needs viser: {install_hint('view')}") from error
         self._env = env
         port = port or _free_port()
         with redirect_stdout(sys.stderr):  # stdout is for the report

@@ -15,6 +15,7 @@ from shape_obs.drawing.rerun_layout import IMAGE, LOG, PLOTS, WORLD, layout
 from shape_obs.frame import FARTHEST, MILLIMETRE, Frame
 from shape_obs.image.mask_check import check_given_mask
 from shape_obs.shape import Detection, Shape
+from shape_obs.utils.errors import install_hint
 
 Flags = npt.NDArray[np.bool_]
 Features = Mapping[str, "Mapping[str, float] | npt.ArrayLike"]
@@ -37,7 +38,7 @@ def import_rerun() -> Any:
     try:
         import rerun
     except ImportError as error:
-        raise ImportError("the rerun viewer needs rerun-sdk: pip install 'shape-obs[rerun]'") from error
+        raise ImportError(f"the rerun viewer needs rerun-sdk: {install_hint('rerun')}") from error
     return rerun
 
 

@@ -55,7 +55,7 @@ def log_rerun(
         blueprint: Whether to arrange the viewer at the first call; False keeps your own blueprint.
 
     Raises:
-        ImportError: rerun is not installed; ``pip install 'shape-obs[rerun]'``.
+        ImportError: rerun is not installed; the extra ``rerun`` installs it.
         TypeError: An image has another dtype.
         ValueError: An image has another shape or size, or there is no recording yet.
     """

@@ -48,7 +48,7 @@ class RerunStream:
         path: The file; None for a viewer.
 
     Raises:
-        ImportError: rerun is not installed; ``pip install 'shape-obs[rerun]'``.
+        ImportError: rerun is not installed; the extra ``rerun`` installs it.
         ValueError: The target is neither a file named ``*.rrd`` nor an address.
         OSError: The file cannot be written, or there is no viewer.
     """

@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.utils.documents import parse_json
+from shape_obs.utils.errors import install_hint
 
 #: Key, in the metadata of the schema, of the table's metadata as JSON.
 METADATA: Final = b"shape_obs"
@@ -108,7 +109,7 @@ def need_pyarrow() -> tuple[Any, Any]:
         import pyarrow
         import pyarrow.parquet
     except ImportError as error:
-        raise ImportError(f"Parquet needs pyarrow: pip install 'shape-obs[parquet]' ({error})") from error
+        raise ImportError(f"Parquet needs pyarrow: {install_hint('parquet')} ({error})") from error
     return pyarrow, pyarrow.parquet
 
 

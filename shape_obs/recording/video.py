@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from shape_obs.drawing import Image
+from shape_obs.utils.errors import install_hint
 
 #: Codecs of OpenCV by suffix. Browsers play neither of them.
 _OPENCV: Final = {".mp4": "mp4v", ".avi": "MJPG"}
@@ -56,8 +57,8 @@ def open_encoder(file: Path, size: tuple[int, int], fps: float) -> Encoder:
         if ffmpeg is not None:
             return H264Encoder(ffmpeg, file, size, fps)
         warnings.warn(
-            "no H.264 encoder is installed, so the video is MPEG-4 Part 2, which browsers do not play: pip install "
-            "'shape-obs[video]'.",
+            "no H.264 encoder is installed, so the video is MPEG-4 Part 2, which browsers do not play: "
+            f"{install_hint('video')}.",
             UserWarning,
             stacklevel=3,
         )

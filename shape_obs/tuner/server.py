@@ -14,6 +14,7 @@ from types import FrameType
 
 from shape_obs.tuner.engine import Engine
 from shape_obs.tuner.guard import Guard, is_local
+from shape_obs.utils.errors import install_hint
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ def serve(
         on_ready: Called with the URL when the page can be opened.
 
     Raises:
-        ImportError: NiceGUI is not installed; ``pip install 'shape-obs[tune]'``.
+        ImportError: NiceGUI is not installed; the extra ``tune`` installs it.
         KeyboardInterrupt: The signal that ended it.
     """
     try:
@@ -67,7 +68,7 @@ def serve(
         from fastapi import FastAPI
         from nicegui import ui
     except ImportError as error:
-        raise ImportError("the page of `shape-obs tune` needs NiceGUI: pip install 'shape-obs[tune]'") from error
+        raise ImportError(f"the page of `shape-obs tune` needs NiceGUI: {install_hint('tune')}") from error
     from shape_obs.tuner.page import add_page
 
     port = listening.getsockname()[1]

@@ -1,8 +1,12 @@
-"""The errors about what users write, and hints at what they may have meant."""
+"""The errors about what users write, and hints at what they may have meant or must install."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+#: Extras of the libraries whose absence is not reported where they are imported.
+_EXTRAS: Final[Mapping[str, str]] = {"stable_baselines3": "sb3", "torch": "sb3", "safetensors": "sb3"}
 
 
 class SpecError(ValueError):
@@ -13,6 +17,21 @@ class SpecError(ValueError):
 
 class UsageError(ValueError):
     """A command line that is wrong: an argument is missing, unknown or out of range. ``shape-obs`` exits with 2."""
+
+
+def install_hint(extra: str) -> str:
+    """Return the end of an error message about a library that is not installed; the package is not on PyPI.
+
+    Args:
+        extra: The extra that installs the library, such as ``"rerun"``.
+    """
+    return f'in a clone of shape_obs, run pip install ".[{extra}]"'
+
+
+def hint_at_extra(error: Exception) -> str:
+    """Return how to install the module that an import did not find, as the end of its message; empty if unknown."""
+    extra = _EXTRAS.get((error.name or "").partition(".")[0]) if isinstance(error, ModuleNotFoundError) else None
+    return f": {install_hint(extra)}" if extra else ""
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:

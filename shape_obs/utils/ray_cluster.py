@@ -7,6 +7,8 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, TypeVar
 
+from shape_obs.utils.errors import install_hint
+
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -33,7 +35,7 @@ class RayCluster:
         try:
             import ray
         except ImportError as error:
-            raise ImportError(f"--engine ray needs Ray: pip install 'shape-obs[ray]' ({error})") from error
+            raise ImportError(f"--engine ray needs Ray: {install_hint('ray')} ({error})") from error
         self._joined = not ray.is_initialized()
         if self._joined:
             own: dict[str, Any] = {"num_cpus": jobs, "include_dashboard": False} if address is None else {}

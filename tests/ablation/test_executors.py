@@ -35,5 +35,5 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_numbers(tmp_path):
 
 def test_without_ray_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(ImportError, match=r"pip install 'shape-obs\[ray\]'"):
+    with pytest.raises(ImportError, match=r'pip install "\.\[ray\]"'):
         Ray()

@@ -249,7 +249,7 @@ class TestCommand:
         monkeypatch.setitem(sys.modules, "matplotlib", None)
         code, _, err = command(capsys, "--out", tmp_path / "o", "--frames", 10)
         assert code == 1
-        assert "the figures need matplotlib: pip install 'shape-obs[viz]', or leave them out (see --help)." in err
+        assert 'pip install ".[viz]", or leave them out (see --help).' in err
         assert not (tmp_path / "o").exists()
 
 

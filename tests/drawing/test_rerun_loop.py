@@ -178,7 +178,7 @@ def test_bad_images_and_a_missing_library_are_reported(stream, monkeypatch):
     with pytest.raises(ValueError, match="the mask has 3 x 2 pixels"):
         shape_obs.log_rerun(None, frame()[0], mask=np.zeros((2, 3), bool), recording=recording)
     monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(ImportError, match=r"pip install 'shape-obs\[rerun\]'"):
+    with pytest.raises(ImportError, match=r'pip install "\.\[rerun\]"'):
         shape_obs.log_rerun(None)
 
 

@@ -22,7 +22,10 @@ import pytest
 import shape_obs.image.clicked_colours
 import shape_obs.image.mask_function  # noqa: F401  # kinds that a page may import while members are patched
 from shape_obs import Centerline, HSVRange, Segmentation, save_config
+from shape_obs.cli import COMMANDS as CLI_COMMANDS
 from shape_obs.cli import main
+from shape_obs.cli.bench import MEASUREMENTS
+from shape_obs.cli.calibrate import CALIBRATIONS
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -164,25 +167,26 @@ def test_the_readme_has_the_two_commands_as_they_are_promised():
     assert "uv run pytest" in lines
 
 
-@pytest.mark.parametrize(
-    "command",
-    ["demo", "detect", "record", "replay", "bench claims", "bench table", "bench peers", "bench latency", "bench envs"]
-    + [
-        "markers",
-        "calibrate intrinsics",
-        "calibrate base",
-        "goal",
-        "deploy",
-        "fit-features",
-        "extract",
-        "bench servo",
-        "ablate",
-    ],
-)
+PARTS = {"calibrate": CALIBRATIONS, "bench": MEASUREMENTS}
+COMMAND_LINES = [command for command in CLI_COMMANDS if command not in PARTS]
+COMMAND_LINES += [f"{group} {part}" for group, parts in PARTS.items() for part in parts]
+CLI_PAGES = ROOT / "docs" / "reference" / "cli"
+
+
+@pytest.mark.parametrize("command", COMMAND_LINES)
 def test_the_page_of_a_command_documents_every_option(command, capsys):
     with pytest.raises(SystemExit):
         main([*command.split(), "--help"])
     known = set(re.findall(r"--[a-z][a-z-]*", capsys.readouterr().out))
-    page = read(ROOT / "docs" / "reference" / "cli" / f"{command.replace(' ', '-')}.md")
+    page = read(CLI_PAGES / f"{command.replace(' ', '-')}.md")
     documented = set(re.findall(r"--[a-z][a-z-]*", page))
-    assert {option for option in known if not option.startswith("--no-")} - {"--help"} == documented
+    pairs = {f"--no-{name[2:]}" for name in known}  # the form that switches off an option that is on
+    assert known - pairs - {"--help"} == documented - pairs
+    assert len(page.split()) <= 700
+
+
+def test_the_table_of_commands_lists_every_page():
+    page = read(CLI_PAGES / "index.md")
+    listed = re.findall(r"^\| \[`([a-z -]+)`\]\(([a-z-]+)\.md\)", page, flags=re.MULTILINE)
+    assert sorted(command for command, _ in listed) == sorted(COMMAND_LINES)
+    assert all(command.replace(" ", "-") == name for command, name in listed)

@@ -85,9 +85,7 @@ def test_an_mp4_plays_in_browsers(tmp_path):
 
 def test_without_an_encoder_a_line_says_so_and_opencv_encodes(tmp_path, monkeypatch):
     monkeypatch.setattr(video, "find_ffmpeg", lambda: None)
-    with pytest.warns(
-        UserWarning, match=r"MPEG-4 Part 2, which browsers do not play: pip install 'shape-obs\[video\]'"
-    ):
+    with pytest.warns(UserWarning, match=r'MPEG-4 Part 2, which browsers do not play: .*pip install "\.\[video\]"'):
         write(tmp_path / "v.mp4", gray((480, 640), 20))
     assert codec(tmp_path / "v.mp4") == b"FMP4"
     assert len(decoded(tmp_path / "v.mp4")[0]) == 20

@@ -125,7 +125,7 @@ def test_a_missing_extra_is_named(photo):
     command = [sys.executable, "-c", script, "tune", str(photo), "--port", "0", "--no-open"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == 1
-    assert "pip install 'shape-obs[tune]'" in done.stderr
+    assert 'pip install ".[tune]"' in done.stderr
 
 
 def test_pictures_are_jpegs_of_the_photo(photo):

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shape_obs.camera import CameraModel, Intrinsics
+from shape_obs.utils.errors import install_hint
 from shape_obs_envs.arguments import one_of
 
 try:
@@ -21,8 +22,8 @@ except ModuleNotFoundError as error:
     if error.name != "mujoco":  # MuJoCo is installed but lacks one of its own dependencies: keep that message
         raise
     raise ImportError(
-        "The simulated environments need MuJoCo, which is not installed. "
-        'Install it with: pip install "shape-obs[sim]" (or: pip install "mujoco>=3.3").'
+        f"The simulated environments need MuJoCo, which is not installed: {install_hint('sim')} "
+        '(or anywhere: pip install "mujoco>=3.3").'
     ) from error
 
 CAMERA = "camera"

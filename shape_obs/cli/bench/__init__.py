@@ -10,7 +10,7 @@ from shape_obs.cli import run_part
 MEASUREMENTS: Final = {
     "claims": "the accuracy that the project claims, against known truth",
     "table": "the paper's table: clusterers side by side on simulated frames",
-    "peers": "time and quality compared with other ways, on the same masks",
+    "peers": "time and quality of the detector and other methods on the same masks",
     "latency": "the time of every stage from image to 3D points",
     "envs": "steps per second of the simulated environments",
     "servo": "shape servoing: features and laws on the same goals",

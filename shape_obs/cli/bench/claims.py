@@ -19,13 +19,13 @@ class Claims:
     only: Annotated[tuple[Group, ...], Option(group="measurement")] = ()
     """Groups to measure; all if none is named."""
     share: Annotated[float, Option("SHARE", "measurement", above=0, most=100)] = 1.0
-    """Share of the full counts."""
+    """Share of the full number of scenes and frames."""
     seed: Annotated[int, Option("N", "measurement", least=0)] = 0
-    """Seed of everything that is drawn at random."""
+    """Random seed."""
     renderer: Annotated[Literal["auto", "gl", "rays"], Option(group="measurement")] = "auto"
     """The simulator's renderer."""
     jobs: Annotated[int, Option("N", "processing", least=1)] = 1
-    """Processes that share the episodes of the group envs."""
+    """Number of processes that share the episodes of the group envs."""
     garments: Annotated[Path | None, Option("FILE", "measurement", existing="file of outlines")] = None
     """A JSON file of annotated garment outlines, measured together with the drawn ones."""
     figures: Annotated[Path | None, Option("FOLDER", "output")] = None

@@ -11,7 +11,7 @@ from typing import Any
 from tqdm import tqdm
 
 from shape_obs.bench.tables import as_text
-from shape_obs.utils.errors import UsageError
+from shape_obs.utils.errors import UsageError, install_hint
 
 Rows = Sequence[Mapping[str, Any]]
 
@@ -57,7 +57,7 @@ def progress(name: str, unit: str, total: int | None = None) -> tqdm:
 def need_matplotlib() -> None:
     """Raise ImportError if matplotlib is not installed."""
     if find_spec("matplotlib") is None:
-        raise ImportError("the figures need matplotlib: pip install 'shape-obs[viz]', or leave them out (see --help).")
+        raise ImportError(f"the figures need matplotlib: {install_hint('viz')}, or leave them out (see --help).")
 
 
 def image_size(text: str, least: int, landscape: bool = True) -> tuple[int, int]:

@@ -20,57 +20,58 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Servo:
-    """Servo shapes: the same goals for every combination of features and law.
+    """Bring simulated shapes to their goals, the same goals for every combination of features and law.
 
     Writes episodes.csv, summary.csv, table.md, curves.png and overlays.png, and paired.csv if both sources are named.
     """
 
     only: Annotated[tuple[Literal["study", "times"], ...], Option(group="measurement")] = ("study",)
-    """What to measure: the study; the time of each feature relative to the detector's."""
+    """What to measure: 'study', or 'times' for the time of each feature relative to the detector's."""
     envs: Annotated[tuple[ServoEnv, ...], Option(group="study")] = ("Cable",)
     """Environments."""
     features: Annotated[tuple[FeatureSet, ...], Option(group="study")] = ("points3d", "bspline")
     """Sets of features."""
     laws: Annotated[tuple[str, ...], Option("LAW ...", "study")] = ("mfac", "rls")
-    """Names of shape_obs.servo.LAWS."""
+    """Control laws, names of shape_obs.servo.LAWS."""
     difficulties: Annotated[tuple[Difficulty, ...], Option(group="study")] = ("near", "middle", "far")
     """Distances of goals from the start."""
     sources: Annotated[tuple[Source, ...], Option(group="study")] = ("camera", "truth")
-    """Sources of the points: the images of a simulated D455; the simulator's state; the images for points and goal."""
+    """Sources of the points: 'camera', images of a simulated D455; 'truth', the simulator's state; 'taught', images,
+    with goals recorded by the camera."""
     sizes: Annotated[tuple[str, ...], Option("WIDTHxHEIGHT ...", "study")] = ("160x120",)
     """Image sizes."""
     goals: Annotated[int, Option("N", "study", least=1)] = 5
-    """Goals of each combination."""
+    """Number of goals of each combination."""
     steps: Annotated[int, Option("N", "study", least=1)] = 200
-    """Steps of an episode."""
+    """Number of steps of an episode."""
     seed: Annotated[int, Option("N", "measurement", least=0)] = 0
     """Seed of the first goal; the seeds of the others follow."""
     view: Annotated[Literal["side", "above"] | None, Option(group="study")] = None
     """Where the camera of the hanging rope stands."""
     rope: Annotated[int | None, Option("N", "study", least=0, most=1)] = None
-    """Which rope of Cables is brought to its goal, 0 or 1; default 0. Only its gripper moves."""
+    """Which rope of Cables to bring to its goal, 0 or 1; default 0. Only its gripper moves."""
     invalid: Annotated[float, Option("SHARE", "disturbance", least=0, most=1)] = 0.0
-    """Share of the camera's points that are lost, drawn again in every frame."""
+    """Share of the camera's points that are lost, drawn for every frame."""
     blackout: Annotated[tuple[int, int] | None, Option("FIRST COUNT", "disturbance", least=0)] = None
-    """First step of the camera's black frames, and their number."""
+    """First step and number of the camera's black frames."""
     pca: Annotated[Path | None, Option("FILE", "study", existing="file")] = None
     """The file of the features pca, as written by fit-features."""
     paired: Annotated[bool, Option(group="output")] = False
-    """Print the camera next to the truth, on the same goals."""
+    """Compare camera and truth on the same goals."""
     frames: Annotated[int, Option("N", "timing", least=1)] = 60
-    """Frames over which the time of features is measured."""
+    """Number of frames over which the time of features is measured."""
     renderer: Annotated[Literal["auto", "gl", "rays"], Option(group="measurement")] = "auto"
     """The simulator's renderer."""
     clock: Annotated[Clock, Option(group="timing")] = "wall"
     """Clock for the time of features: elapsed time, or the processor time of the thread."""
     jobs: Annotated[int, Option("N", "processing", least=1)] = 1
-    """Processes of one thread each."""
+    """Number of processes, with one thread each."""
     out: Annotated[Path, Option("FOLDER", "output")] = Path("servo")
     """Folder for the results."""
     resume: Annotated[bool, Option(group="output")] = False
-    """Keep the episodes that the folder holds already. It is not checked whether the laws have changed."""
+    """Keep episodes that the folder already contains, without checking whether the laws have changed."""
     figures: Annotated[bool, Option(group="output")] = True
-    """Draw the pictures; they need the extra viz."""
+    """Draw the pictures (needs the extra 'viz')."""
     json: Annotated[bool, Option(group="output")] = False
     """Print JSON instead of tables."""
 

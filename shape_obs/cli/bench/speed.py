@@ -22,11 +22,11 @@ Work = Literal["rope", "contour", "cloth"]
 @dataclass(frozen=True)
 class _TimingOptions:
     seed: Annotated[int, Option("N", "measurement", least=0)] = 0
-    """Seed of everything that is drawn at random."""
+    """Random seed."""
     clock: Annotated[Clock, Option(group="timing")] = "wall"
     """Clock: elapsed time, or the processor time of the thread, which hardly depends on other load."""
     burst: Annotated[int, Option("N", "timing", least=1)] = 10
-    """Frames or steps in a turn. With 1 every method runs with the caches that another one left behind."""
+    """Consecutive frames or steps of a method; with 1, each method runs with CPU caches filled by another one."""
     json: Annotated[bool, Option(group="output")] = False
     """Print JSON instead of tables."""
 
@@ -52,30 +52,30 @@ class Latency(_TimingOptions):
     )
     """Image sizes."""
     memory: Annotated[int, Option("N", "measurement", least=0)] = 0
-    """Frames over which the growth of the process is measured; 0 leaves it out."""
+    """Number of frames over which the growth of the process's memory is measured; 0 skips it."""
 
 
 @dataclass(frozen=True)
 class Peers(_TimingOptions):
-    """Compare the detector with other ways to the same points: same masks, same N, in turns, on one thread.
+    """Compare the detector with other methods: same masks, same number of points, in turns, on one thread.
 
-    A method's clock starts when the mask, or the mask's pixels as floats, are ready. Clusterers are not charged for
-    selecting the pixels, nor for an order, which they do not provide.
+    Timing starts when the mask, or the mask's pixels as floats, are ready. The times of clusterers include neither the
+    selection of the pixels nor the order of the points, which clusterers do not provide.
     """
 
     only: Annotated[tuple[Work, ...], Option(group="measurement")] = get_args(Work)
-    """Works to measure."""
+    """Tasks to measure."""
     frames: Annotated[int, Option("N", "measurement", least=1)] = 100
     """Number of counted frames."""
     slow_frames: Annotated[int, Option("N", "measurement", least=0)] = 5
-    """Frames on which slow methods run (n_init 10, mixture, fuzzy); 0 leaves these out."""
+    """Number of frames on which slow methods run (K-means with ten starts, mixture, fuzzy); 0 skips these methods."""
 
 
 @dataclass(frozen=True)
 class Envs(_TimingOptions):
-    """Count the steps per second of each environment: without drawing, with images, and wrapped.
+    """Count the steps per second of each environment: without rendering, with images, and wrapped.
 
-    All ways take turns through the same episodes, on one thread. Rates are those of the median step; resets have a
+    All variants take turns through the same episodes, on one thread. Rates are those of the median step; resets have a
     separate column.
     """
 

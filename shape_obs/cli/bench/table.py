@@ -21,29 +21,29 @@ Only = Literal[
 class Table:
     """Reproduce the paper's table: clusterers side by side on simulated frames.
 
-    Writes table.md, table.json, frames.csv and two figures. An interrupted run continues when it is given the same
-    folder.
+    Writes table.md, table.json, frames.csv and two figures. Run it again with the same folder to continue an
+    interrupted run.
     """
 
     out: Annotated[Path, Option("FOLDER", "output")] = Path("table")
     """Folder for the results."""
     # ten frames are two chunks, the fewest that give an interval
     frames: Annotated[int, Option("N", "measurement", least=10)] = 1000
-    """Frames of each configuration."""
+    """Number of frames of each configuration."""
     seed: Annotated[int, Option("N", "measurement", least=0)] = 0
     """Seed of all frames."""
     only: Annotated[tuple[Only, ...], Option(group="measurement")] = ()
     """Configurations and methods to measure; all configurations, or all methods, if none is named."""
     redo: Annotated[bool, Option(group="measurement")] = False
-    """Measure what --only names again, even if the folder holds it."""
+    """Measure what --only names again, even if the folder contains it."""
     jobs: Annotated[int, Option("N", "processing", least=1)] = 1
-    """Processes of one thread each. Times are comparable only if every process has a core."""
+    """Number of processes, with one thread each. Times are comparable only if every process has a core."""
     renderer: Annotated[Literal["auto", "gl", "rays"], Option(group="measurement")] = "auto"
     """The simulator's renderer."""
     clock: Annotated[Clock, Option(group="timing")] = "wall"
     """Clock: elapsed time, or the processor time of the thread, which hardly depends on other load."""
     figures: Annotated[bool, Option(group="output")] = True
-    """Draw the figures; they need the extra viz."""
+    """Draw the figures (needs the extra 'viz')."""
     json: Annotated[bool, Option(group="output")] = False
     """Print JSON instead of Markdown."""
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 class Arguments:
     """Measure the pose of the camera from marker corners that the robot touches and the camera sees.
 
-    Touch four corners or more, all around the table. Without --touches the command asks for each corner in turn, and
+    Touch at least four corners all around the table. Without --touches the command asks for each corner in turn, and
     saves the answers in a file. The exit code is 1, and nothing is written, if the residual of the touches exceeds
     --max-rms, or if one of them does not agree with the others.
     """
@@ -44,7 +44,7 @@ class Arguments:
     leave_out: Annotated[bool, Option(group="touch")] = False
     """Leave out touches that do not agree with the others, instead of writing nothing."""
     max_age_days: Annotated[float, Option("DAYS", "output", above=0)] = 30.0
-    """Number of days after which a warning says that the pose is old."""
+    """Number of days after which sources warn that the pose is old."""
     set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
     """Arguments of the source, such as exposure=0.01."""
     json: Annotated[bool, Option(group="output")] = False

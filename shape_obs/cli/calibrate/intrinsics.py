@@ -35,7 +35,7 @@ class Arguments:
     views: Annotated[int, Option("N", "source", least=1)] = 20
     """Number of different views to take from a camera; the largest number for a recording."""
     seconds: Annotated[float, Option("SECONDS", "source", above=0)] = 120.0
-    """Longest time to wait for them, for a camera."""
+    """Time limit in seconds for the views of a camera."""
     board: Annotated[tuple[int, int, float, float] | None, Option("COLUMNS ROWS SQUARE MARKER", "marker", above=0)] = (
         None
     )

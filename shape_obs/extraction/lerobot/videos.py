@@ -14,6 +14,7 @@ from shape_obs.extraction.task import Task
 from shape_obs.recording.format import read_moments
 from shape_obs.recording.video import H264Encoder, find_ffmpeg
 from shape_obs.source import RGBDSource
+from shape_obs.utils.errors import install_hint
 
 #: Every second picture is a key frame and none refers to a later one, so that random access is fast.
 _RANDOM_ACCESS: Final = ("-g", "2", "-bf", "0")
@@ -30,7 +31,7 @@ def need_encoder() -> str:
     """
     ffmpeg = find_ffmpeg()
     if ffmpeg is None:
-        raise ImportError("Videos of a LeRobot dataset need an H.264 encoder: pip install 'shape-obs[video]'.")
+        raise ImportError(f"Videos of a LeRobot dataset need an H.264 encoder: {install_hint('video')}.")
     return ffmpeg
 
 

@@ -208,7 +208,7 @@ sys.modules["mujoco"] = None
 try:
     gym.make("ShapeObs/Cable-v0")
 except ImportError as error:
-    assert 'pip install "shape-obs[sim]"' in str(error), error
+    assert 'pip install ".[sim]"' in str(error), error
 else:
     raise SystemExit("made without MuJoCo")
 """

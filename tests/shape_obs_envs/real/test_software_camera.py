@@ -24,7 +24,7 @@ def cell(eye: Any, robot: Any = None, **options: Any) -> Any:
     return gym.make("shape_obs_envs:ShapeObs/D455-v0", source=eye, robot=robot, **given)
 
 
-@pytest.mark.skipif(not find_spec("mujoco"), reason="the simulated robot needs MuJoCo: pip install 'shape-obs[sim]'")
+@pytest.mark.skipif(not find_spec("mujoco"), reason="the simulated robot needs MuJoCo: extra sim")
 def test_from_the_software_camera_to_sb3s_checker():
     env = cell("robot", SimulatedRobot(seed=1), size=[640, 480], rate=30.0)
     try:

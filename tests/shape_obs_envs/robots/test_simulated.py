@@ -21,7 +21,7 @@ from shape_obs_envs.robots import NullRobot, SimulatedRobot
 
 simulated = pytest.mark.skipif(
     not (find_spec("mujoco") and find_spec("pyrealsense2")),
-    reason="the simulated robot needs MuJoCo and librealsense: pip install 'shape-obs[sim,realsense]'",
+    reason="the simulated robot needs MuJoCo and librealsense: extras sim, realsense",
 )
 
 

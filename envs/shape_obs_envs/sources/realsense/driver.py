@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from shape_obs.camera import Distortion, Intrinsics
 from shape_obs.source import SourceError
+from shape_obs.utils.errors import install_hint
 
 #: librealsense records .db3 files from this version on, and ROS bags before it.
 _FIRST_DB3: Final = (2, 58)
@@ -255,5 +256,5 @@ def _installation_advice(error: ImportError) -> str:
         )
     return (
         "RealSense cameras and their recordings need librealsense, which is not installed: "
-        f"pip install 'shape-obs[realsense]'. ({error})"
+        f"{install_hint('realsense')}. ({error})"
     )

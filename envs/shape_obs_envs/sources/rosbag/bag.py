@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from shape_obs.source import BadRecording
+from shape_obs.utils.errors import install_hint
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -47,7 +48,7 @@ class Bag:
             from rosbags.typesys import Stores, get_typestore
         except ImportError as error:
             raise ImportError(
-                f"ROS bags need the package rosbags: pip install 'shape-obs[ros]'. ({error})", name="rosbags"
+                f"ROS bags need the package rosbags: {install_hint('ros')}. ({error})", name="rosbags"
             ) from error
         self.path, self._damage = path, _damage()
         with self.explained("it cannot be opened as a ROS 2 bag"):

@@ -250,7 +250,7 @@ def test_librealsense_is_loaded_when_a_camera_is_opened_and_missed_by_name() -> 
     )
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "ImportError: RealSense cameras and their recordings need librealsense" in ran.stderr
-    assert "pip install 'shape-obs[realsense]'" in ran.stderr
+    assert 'pip install ".[realsense]"' in ran.stderr
 
 
 def test_modes_of_the_small_camera() -> None:
