@@ -13,11 +13,12 @@ from gymnasium.wrappers import AddRenderObservation
 from shape_obs import Centerline, HSVRange, ShapeObservation
 
 WIDTH, HEIGHT = 320, 240
-# A fixed camera, 6 m above the start, that looks straight down. Without a choice Gymnasium 1.1 uses the Swimmer's own
-# camera, which moves along, and 1.4 a fixed one at a slant.
-FROM_ABOVE = {"lookat": [0.0, 0.0, 0.0], "distance": 6.0, "azimuth": 90.0, "elevation": -90.0}
-# The floor is black, white and slightly green, so hue and saturation separate the links from it. They also exclude the
-# white highlight along the links, which would leave a gap, so the mask is closed.
+# A fixed camera, 6 m above the start, that looks straight down. Without a choice Gymnasium
+# 1.1 uses the Swimmer's own camera, which moves along, and 1.4 a fixed one at a slant.
+FROM_ABOVE = {"lookat": [0.0, 0.0, 0.0], "distance": 6.0, "azimuth": 90.0, "elevation": -90}
+# The floor is black, white and slightly green, so hue and saturation separate the links from
+# it. They also exclude the white highlight along the links, which would leave a gap, so the
+# mask is closed.
 ORANGE = HSVRange(low=(5, 100, 60), high=(25, 255, 255), close=3)
 
 
@@ -32,7 +33,7 @@ def make_env() -> ShapeObservation:
     )
     return ShapeObservation(
         AddRenderObservation(env),
-        # Point 0 is the nose: it starts at the right of the image, and stays the nose as the Swimmer moves.
+        # Point 0 is the nose, which starts at the right of the image.
         shapes=[Centerline(n=13, ends="tips", anchor=(WIDTH - 1, HEIGHT / 2))],
         segmentation=ORANGE,
         features=["points2d", "ok"],

@@ -17,12 +17,12 @@ from shape_obs import CameraModel, Centerline, Intrinsics, ShapeObservation
 
 
 class RGBDCamera(gym.ObservationWrapper):
-    """Observe the images of a MuJoCo env: ``rgb``, and ``depth`` in metres. Publishes ``camera_model``."""
+    """Observe ``rgb`` and ``depth`` [m] of a MuJoCo env, and publish ``camera_model``."""
 
     def __init__(self, env: gym.Env) -> None:
         super().__init__(env)
         self._mujoco: Any = env.unwrapped
-        # Set both before the first image. Antialiasing would sample depth next to the pixel's centre.
+        # Before the first image. Antialiasing samples depth next to the pixel's centre.
         self._mujoco.model.vis.quality.offsamples = 0
         self._mujoco.model.vis.quality.shadowsize = 0  # no shadows: faster without a GPU
         env.reset()
@@ -39,7 +39,8 @@ class RGBDCamera(gym.ObservationWrapper):
         # The buffer runs from 0 at the near plane to 1 at the far one, as 1/z does.
         near, far = self._eye.frustum_near, self._eye.frustum_far
         depth = near * far / (far - buffer.astype(np.float64) * (far - near))
-        return {"rgb": rgb, "depth": np.where(buffer < 1, depth, 0).astype(np.float32)}  # 0: no surface
+        depth[buffer >= 1] = 0  # no surface
+        return {"rgb": rgb, "depth": depth.astype(np.float32)}
 
     @property
     def camera_model(self) -> CameraModel:
@@ -47,10 +48,10 @@ class RGBDCamera(gym.ObservationWrapper):
         forward, down = np.float64(self._eye.forward), -np.float64(self._eye.up)
         pose = np.eye(4)
         pose[:3, :3] = np.stack([np.cross(down, forward), down, forward], axis=1)
-        pose[:3, 3] = np.mean([eye.pos for eye in self._eyes], axis=0)  # MuJoCo renders from the middle of two eyes
-        width, height = self._mujoco.width, self._mujoco.height
-        focal = height * self._eye.frustum_near / (self._eye.frustum_top - self._eye.frustum_bottom)
-        return CameraModel(Intrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2), pose)
+        pose[:3, 3] = np.mean([eye.pos for eye in self._eyes], axis=0)  # between two eyes
+        w, h = self._mujoco.width, self._mujoco.height
+        focal = h * self._eye.frustum_near / (self._eye.frustum_top - self._eye.frustum_bottom)
+        return CameraModel(Intrinsics(w, h, focal, focal, (w - 1) / 2, (h - 1) / 2), pose)
 
     def _render(self) -> tuple[np.ndarray, np.ndarray]:
         picture: Any = self.env.render()
@@ -60,14 +61,14 @@ class RGBDCamera(gym.ObservationWrapper):
 
 
 def make_env() -> ShapeObservation:
-    size: dict[str, Any] = {"width": WIDTH, "height": HEIGHT}
-    env = gym.make("Swimmer-v5", render_mode="rgbd_tuple", camera_id=-1, default_camera_config=FROM_ABOVE, **size)
+    view: dict[str, Any] = {"camera_id": -1, "default_camera_config": FROM_ABOVE}
+    env = gym.make("Swimmer-v5", render_mode="rgbd_tuple", width=WIDTH, height=HEIGHT, **view)
     return ShapeObservation(
         RGBDCamera(env),
-        shapes=[Centerline(n=13, ends="tips", spacing="m", radius=0.1, anchor=(1.5, 0, 0))],  # radius: of the links
+        shapes=[Centerline(n=13, ends="tips", spacing="m", radius=0.1, anchor=(1.5, 0, 0))],
         segmentation=ORANGE,
         features=[{"kind": "points3d", "frame": "base"}, "ok"],
-        workspace=((-3.5, -2.5, -0.2), (3.5, 2.5, 0.2)),  # bounds; the default reaches only 2 m
+        workspace=((-3.5, -2.5, -0.2), (3.5, 2.5, 0.2)),  # the default: 2 m
     )
 
 
@@ -81,7 +82,7 @@ def main() -> None:
     nose = torso.xpos + torso.xmat.reshape(3, 3) @ (1.6, 0, 0)
     print(f"{len(points)} points in metres, ok: {info['shape/ok']}")
     print("nose:", points[0].round(3), "tail:", points[-1].round(3))
-    print(f"the nose is {1e3 * np.linalg.norm(points[0] - nose):.0f} mm from where the simulator has it")
+    print(f"the nose is off by {1e3 * np.linalg.norm(points[0] - nose):.0f} mm")
     env.close()
 
 

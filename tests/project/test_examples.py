@@ -1,5 +1,6 @@
 """Every example is short, runs as documented in its first lines, and prints the documented output."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -37,6 +38,17 @@ DRAWN_BY_GYMNASIUM = ("foreign_env.py", "foreign_env_depth.py")
 
 def test_every_example_is_tested():
     assert {path.name for path in EXAMPLES.glob("*.py")} == {*EXPECTED, *TRAINED}
+
+
+def test_every_example_stands_in_the_gallery_with_a_picture():
+    page = (EXAMPLES.parent / "docs" / "examples.md").read_text(encoding="utf-8")
+    files = [*EXAMPLES.glob("*.py"), *EXAMPLES.glob("ablations/*.yaml"), *EXAMPLES.glob("*.ipynb")]
+    missing = [path.name for path in files if f"`{path.relative_to(EXAMPLES.parent).as_posix()}`" not in page]
+    assert not missing
+    pictures = re.findall(r"^:img-top: (.+)$", page, re.MULTILINE)
+    assert len(pictures) == len({*pictures}) == page.count("{grid-item-card}")
+    for picture in pictures:
+        assert (EXAMPLES.parent / "docs" / picture).stat().st_size < 40_000
 
 
 @pytest.mark.parametrize("name", EXPECTED)

@@ -12,7 +12,7 @@ import gymnasium_gl
 import pytest
 
 TRUTH = Path(__file__).parents[1] / "support" / "foreign_truth.py"
-PAGE = Path(__file__).parents[2] / "docs" / "tutorials" / "wrap-your-env.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "wrap-gymnasium-envs.md"
 
 
 @pytest.fixture(scope="module")
