@@ -66,7 +66,8 @@ class ShapeDetector:
         SpecError: An argument is not understood; the message names the nearest valid one.
 
     Example:
-        >>> detector = ShapeDetector([Centerline(n=20)], HSVRange(low=(90, 60, 30), high=(130, 255, 255)))
+        >>> blue = HSVRange(low=(90, 60, 30), high=(130, 255, 255))
+        >>> detector = ShapeDetector([Centerline(n=20)], blue)
         >>> shape = detector.detect(rgb, depth, intrinsics).shapes[0]  # doctest: +SKIP
         >>> shape.points3d.shape  # doctest: +SKIP
         (20, 3)

@@ -40,7 +40,8 @@ class Registration:
 
     Example:
         >>> import numpy as np
-        >>> colour = Intrinsics(640, 480, 386.0, 386.0, 320.0, 240.0, "brown_conrady", (-0.05, 0.06, 0, 0, 0))
+        >>> lens = "brown_conrady", (-0.05, 0.06, 0, 0, 0)
+        >>> colour = Intrinsics(640, 480, 386.0, 386.0, 320.0, 240.0, *lens)
         >>> depth = Intrinsics(640, 480, 388.0, 388.0, 322.0, 238.0)
         >>> registration = Registration(colour, depth, np.eye(3), (-0.059, 0.0, 0.0))
         >>> rgb, depth = np.zeros((480, 640, 3), np.uint8), np.full((480, 640), 620, np.uint16)
