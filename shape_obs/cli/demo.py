@@ -14,10 +14,11 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
+    from shape_obs.cli.demo_pictures import Moment
     from shape_obs.drawing import RerunLog
     from shape_obs.shape import Detection
 
-_ORANGE = (235, 130, 40)  # the goal
+_PAUSE = 20  # repetitions of the last frame
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Arguments:
 class Record:
     """Frames and measurements of an episode."""
 
-    frames: list[npt.NDArray[np.uint8]]
+    moments: list[Moment]
     vectors: list[npt.NDArray[np.float32]]
     errors_mm: list[float]
     errors_px: list[float]
@@ -58,6 +59,7 @@ def main(argv: Sequence[str]) -> int:
     args = parse(Arguments, with_rerun_value(argv), "shape-obs demo")
     import numpy as np
 
+    from shape_obs.cli.demo_pictures import draw_frames
     from shape_obs.utils.arrays import write_gif, write_image
     from shape_obs.utils.files import make_folder
 
@@ -69,8 +71,11 @@ def main(argv: Sequence[str]) -> int:
 
         with open_rerun(args.rerun, out / "demo", "shape-obs demo") as stream:
             record = run_episode(args, RerunLog(stream.recording))
-    write_image(out / "demo.png", np.concatenate([record.frames[0], record.frames[-1]], axis=1))
-    write_gif(out / "demo.gif", record.frames, 0.05)
+    large = draw_frames(record.moments, record.goal_distances_mm, size=2.0)
+    gap = np.full((len(large[0]), 8, 3), 255, np.uint8)
+    write_image(out / "demo.png", np.concatenate([large[0], gap, large[-1]], axis=1))
+    frames = draw_frames(record.moments, record.goal_distances_mm, size=1.5)
+    write_gif(out / "demo.gif", frames + frames[-1:] * _PAUSE, 0.05)
     print(summary(record))
     print(f"pictures        {out / 'demo.png'}, {out / 'demo.gif'}")
     return 0
@@ -128,7 +133,7 @@ def _remember(
     """Add one frame and its measurements to the record."""
     import numpy as np
 
-    from shape_obs.drawing import draw_detection, draw_text
+    from shape_obs.cli.demo_pictures import Moment
     from shape_obs.drawing.matching_pixels import matching_pixels
     from shape_obs.frame import Frame
 
@@ -148,7 +153,6 @@ def _remember(
     record.goal_distances_mm.append(1e3 * float(np.linalg.norm(found - goal, axis=1).mean()))
     record.vectors.append(observation["observation"])
     picture, depth = env.render()
-    scale = max(1, 480 // picture.shape[0])
     goal_pixels = simulator.camera_model.project_from_base(goal)
     if log is not None:
         log.log(
@@ -160,7 +164,4 @@ def _remember(
             features=env.named_features(observation["observation"]),
             goals=[goal_pixels],
         )
-    canvas = draw_detection(picture, detection, scale=scale, under=[(goal_pixels, _ORANGE)])
-    away = record.goal_distances_mm[-1]
-    draw_text(canvas, f"step {len(record.frames) + 1}: {away:.1f} mm from the goal (orange)", (12, 24))
-    record.frames.append(canvas)
+    record.moments.append(Moment(picture, detection, goal_pixels))
