@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import gymnasium as gym
 import numpy as np
-from sheet import FIRST_KEY, GOAL_KEY, VALID_KEY, Key, band, legend, save, width_of, write_text
+from sheet import FIRST_KEY, GOAL_KEY, Key, band, legend, save, width_of, write_text
 
 import shape_obs_envs  # noqa: F401
 from shape_obs import ShapeObservation
@@ -104,7 +104,8 @@ def sheet() -> np.ndarray:
     heads = np.full((round(1.8 * LETTERS), width, 3), 255, np.uint8)
     for column, difficulty in enumerate(DIFFICULTIES):
         heads = write_text(heads, f"{difficulty} goal", (column * (CELL + PAPER) + 6, LETTERS), LETTERS, bold=True)
-    return np.concatenate([legend(KEYS, width, LETTERS), heads, *rows])
+    keys = write_text(legend(KEYS, width, LETTERS), "numbers: mean distance from the goal", (480, 19), LETTERS)
+    return np.concatenate([keys, heads, *rows])
 
 
 CELL = COLS.stop - COLS.start
