@@ -38,7 +38,7 @@ _DPI: Final = 105
 
 def draw(plan: Plan, found: Sequence[Row], folder: Path) -> list[Path]:
     """Draw both figures into a folder and return their paths."""
-    sheets = (_side_by_side(plan), _bars(found))
+    sheets = (_side_by_side(plan), draw_bars(found))
     paths = [folder / name for name in PICTURES]
     for sheet, path in zip(sheets, paths, strict=True):
         quality: dict[str, Any] = {"pil_kwargs": {"quality": 84, "optimize": True}} if path.suffix == ".jpg" else {}
@@ -135,17 +135,23 @@ def _window(scene: Scene) -> tuple[int, int, int, int]:
     return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
 
 
-def _bars(found: Sequence[Row]) -> Any:
+def draw_bars(found: Sequence[Row]) -> Any:
     """Draw the three measures by configuration with intervals, and those of the paper."""
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     shown = [result for result in found if result.configuration in CONFIGURATIONS]
     methods: list[Method] = list(dict.fromkeys(result.method for result in shown))
     names = [name for name in CONFIGURATIONS if any(result.configuration == name for result in shown)]
-    figure = Figure(figsize=(13.5, 3.9), layout="constrained")
-    heads = ("silhouette", "Calinski-Harabasz", "time of a frame [ms]")
-    for axis, measure, head in zip(figure.subplots(1, 3), MEASURES, heads, strict=True):
+    figure = Figure(figsize=(10.2, 9.6), layout="constrained")
+    heads = {
+        "sc": "Silhouette (higher is better)",
+        "ch": "Calinski-Harabasz score (higher is better, logarithmic)",
+        "ms": "Time per frame [ms] (lower is better, logarithmic)",
+    }
+    for axis, measure in zip(figure.subplots(3, 1), MEASURES, strict=True):
         wide = 0.84 / max(len(methods), 1)
         for i, method in enumerate(methods):
             shift = (i - (len(methods) - 1) / 2) * wide
@@ -159,11 +165,19 @@ def _bars(found: Sequence[Row]) -> Any:
                     len(names) + shift, PAPER[method][measure], wide * 0.92, facecolor="white",
                     edgecolor=_COLOURS[method], hatch="////", linewidth=1.2,
                 )  # fmt: skip
-        axis.set_xticks(range(len(names) + 1), [*names, "paper,\nits own data"])
-        axis.set_title(head, fontsize=11, color=_INK)
+        axis.set_xticks(range(len(names) + 1), [*names, "as published, on the paper's data"], fontsize=10)
+        axis.set_title(heads[measure], fontsize=12, color=_INK, loc="left")
         axis.set(axisbelow=True, yscale="linear" if measure == "sc" else "log")
+        if measure != "sc":
+            axis.yaxis.set_major_locator(LogLocator(subs=(1, 3) if measure == "ch" else (1,), numticks=9))
+            axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+            axis.yaxis.set_minor_formatter(NullFormatter())
         axis.spines[["top", "right"]].set_visible(False)
         axis.grid(axis="y", color="#e4e4e0", linewidth=0.8)
-    handles = [Patch(color=_COLOURS[method], label=LABELS[method]) for method in methods]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(methods), frameon=False)
+    handles: list[Any] = [Patch(color=_COLOURS[method], label=LABELS[method]) for method in methods]
+    handles += [
+        Line2D([], [], color=_INK, marker="_", markersize=7, linewidth=0, label="95 % interval"),
+        Patch(facecolor="white", edgecolor="#8a8f98", hatch="////", label="published figure"),
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False, fontsize=10)
     return figure
