@@ -21,7 +21,7 @@ class Key(NamedTuple):
 
     text: str
     colour: tuple[int, int, int]
-    mark: Literal["point", "first", "line", "patch"] = "point"
+    mark: Literal["point", "first", "line", "dashed", "dotted", "patch", "dot"] = "point"
 
 
 VALID_KEY = Key("valid point", VALID)
@@ -104,6 +104,13 @@ def _mark(paper: Picture, key: Key, centre: Any, height: int) -> None:
     half = round(0.65 * height)
     if key.mark == "line":
         cv2.line(paper, (u - half, v), (u + half, v), key.colour, max(3, height // 4), cv2.LINE_AA)
+    elif key.mark in ("dashed", "dotted"):
+        parts = 2 if key.mark == "dashed" else 4
+        for k in range(parts):
+            start = u - half + 2 * half * k // parts
+            cv2.line(paper, (start, v), (start + half // parts, v), key.colour, max(2, height // 5), cv2.LINE_AA)
+    elif key.mark == "dot":
+        cv2.circle(paper, (u, v), height // 4, key.colour, -1, cv2.LINE_AA)
     elif key.mark == "patch":
         cv2.rectangle(paper, (u - half, v - height // 2), (u + half, v + height // 2), key.colour, -1)
     else:
