@@ -70,7 +70,7 @@ def draw_detection(
     for shape in detection:
         _draw_lines(picture, shape, scale, slots.get(shape.name), size)
     for crossing in detection.crossings:
-        _draw_crossing(picture, crossing, detection, scale, slots)
+        _draw_crossing(picture, crossing, detection, scale, slots, size)
     for shape in detection:
         _draw_points(picture, shape, scale, NUMBERED if shape.name in slots else 1, size)
     for shape in detection:
@@ -158,17 +158,18 @@ def draw_point(picture: Image, point: Array, colour: Colour, *, size: float = 1.
 
 
 def _draw_crossing(
-    picture: Image, crossing: Crossing, detection: Detection, scale: int, slots: dict[str, Colour]
+    picture: Image, crossing: Crossing, detection: Detection, scale: int, slots: dict[str, Colour], size: float
 ) -> None:
     """Draw the upper strand over the lower one, or a ring where it is unknown which one that is."""
     centre = _enlarged(np.array(crossing.pixel), scale)
     if crossing.above is None:
         for start in (15, 195):
             for colour, thickness in ((PAPER, 4), (_INK, 2)):
-                axes = (10 << _SHIFT, 10 << _SHIFT)
+                radius, stroke = round((10 << _SHIFT) * size), round(thickness * size)
                 cv2.ellipse(
-                    picture, _fixed(centre), axes, 0, start, start + 150, colour, thickness, _ANTIALIASED, _SHIFT
-                )
+                    picture, _fixed(centre), (radius, radius), 0, start, start + 150, colour, stroke, _ANTIALIASED,
+                    _SHIFT,
+                )  # fmt: skip
         return
     shape = detection[crossing.slots[crossing.above]]
     points = _enlarged(shape.pixels, scale)
@@ -177,10 +178,14 @@ def _draw_crossing(
     along = points[first + 1] - points[first]
     if not np.isfinite(along).all():
         return
-    along *= _HALF / max(float(np.linalg.norm(along)), 1e-9)
+    along *= _HALF * size / max(float(np.linalg.norm(along)), 1e-9)
     colour = slots.get(shape.name)
-    draw_curve(picture, np.stack([centre - along, centre + along]), PAPER if colour else _INK, thickness=11)
-    draw_curve(picture, np.stack([centre - 1.2 * along, centre + 1.2 * along]), colour or PAPER, thickness=3)
+    draw_curve(
+        picture, np.stack([centre - along, centre + along]), PAPER if colour else _INK, thickness=round(11 * size)
+    )
+    draw_curve(
+        picture, np.stack([centre - 1.2 * along, centre + 1.2 * along]), colour or PAPER, thickness=round(3 * size)
+    )
 
 
 def draw_curve(picture: Image, points: Array, colour: Colour, *, thickness: int = 1) -> None:
