@@ -33,6 +33,7 @@ _COLOURS: Final[dict[Method, str]] = {
 }
 _INK, _FIRST, _PAPER = "#22313f", "#d4541a", "#f4f4f2"
 _MARGIN: Final = 14  # pixels around the object
+_CAPTION: Final = 0.95  # inches above each picture
 _DPI: Final = 105
 
 
@@ -54,20 +55,24 @@ def _side_by_side(plan: Plan) -> Any:
     windows = {name: _window(scene) for name, (scene, _) in found.items()}
     heights = [window[3] / window[2] for window in windows.values()]
     width = 3.1
-    figure = Figure(figsize=(width * len(plan.methods), sum(heights) * width + 0.42 * len(heights) + 0.1))
+    figure = Figure(figsize=(width * len(plan.methods), sum(heights) * width + _CAPTION * len(heights) + 0.1))
     figure.set_facecolor("white")
     axes = figure.subplots(
         len(found),
         len(plan.methods),
         squeeze=False,
-        gridspec_kw={"height_ratios": heights, "wspace": 0.03, "hspace": 0.13},
+        gridspec_kw={
+            "height_ratios": heights,
+            "wspace": 0.03,
+            "hspace": _CAPTION * len(heights) / (sum(heights) * width),
+        },
     )
-    figure.subplots_adjust(left=0.005, right=0.995, bottom=0.01, top=1 - 0.36 / figure.get_figheight())
+    figure.subplots_adjust(left=0.005, right=0.995, bottom=0.01, top=1 - _CAPTION / figure.get_figheight())
     for row, name in zip(axes, plan.names, strict=True):
         scene, rows = found[name]
         for axis, method in zip(row, plan.methods, strict=True):
             _panel(axis, name, scene, rows[method], windows[name])
-            axis.set_title(_caption(method, rows[method][1]), fontsize=8.5, color=_INK, pad=4)
+            axis.set_title(_caption(method, rows[method][1]), fontsize=14, color=_INK, loc="left")
     return figure
 
 
@@ -124,7 +129,7 @@ def _tinted(scene: Scene, pixels: Array, points: Array, *, thick: bool) -> npt.N
 
 
 def _caption(method: Method, row: Row) -> str:
-    return f"{LABELS[method]}:  SC {row.sc:.3f}   CH {row.ch:,.0f}   {row.ms:.1f} ms".replace(",", " ")
+    return f"{LABELS[method]}\nSC {row.sc:.3f}, CH {row.ch:_.0f}\n{row.ms:.1f} ms".replace("_", " ")
 
 
 def _window(scene: Scene) -> tuple[int, int, int, int]:
