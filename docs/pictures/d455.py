@@ -12,13 +12,14 @@ from typing import Any
 import cv2
 import gymnasium as gym
 import numpy as np
+from sheet import Key, grid, legend, save, titled
 
 import shape_obs_envs  # noqa: F401
-from shape_obs.drawing import draw_text
 from shape_obs_envs.d455 import Cause, D455Camera, D455Model, D455Noise
 
 IMAGES = Path(__file__).parent.parent / "images"
 INK = (30, 30, 30)
+LETTERS = 20  # pixels of panels 640 pixels wide
 COLOURS = {
     Cause.LEFT_BAND: (120, 120, 130),
     Cause.EDGE: (235, 130, 40),
@@ -55,10 +56,8 @@ def coloured_causes(causes: np.ndarray) -> np.ndarray:
     picture = np.full((*causes.shape, 3), 250, np.uint8)
     for cause, colour in COLOURS.items():
         picture[(causes & np.uint8(cause)) != 0] = colour
-    for row, (cause, colour) in enumerate(COLOURS.items()):
-        word = (cause.name or "").lower().replace("_", " ")
-        draw_text(picture, word, (picture.shape[1] - 130, 26 + 22 * row), colour)
-    return picture
+    keys = [Key((cause.name or "").lower().replace("_", " "), colour, "patch") for cause, colour in COLOURS.items()]
+    return np.concatenate([legend(keys, picture.shape[1], LETTERS), picture])
 
 
 def coloured_error(measured: np.ndarray, clean: np.ndarray) -> np.ndarray:
@@ -81,27 +80,29 @@ def with_detail(rgb: np.ndarray) -> np.ndarray:
     return picture
 
 
-def titled(panel: np.ndarray, title: str) -> np.ndarray:
-    """The panel under its title."""
-    band = np.full((30, panel.shape[1], 3), 255, np.uint8)
-    draw_text(band, title, (8, 20), INK)
-    return np.pad(np.concatenate([band, panel]), ((0, 6), (3, 3), (0, 0)), constant_values=255)
-
-
 def picture() -> np.ndarray:
     """Six panels: colour clean and noisy, what was lost to what; depth clean and measured, and its error."""
     clean, noisy, env = views()
     assert env.measurement is not None
     panels = {
-        "colour, clean": with_detail(clean["rgb"]),
-        "colour, D455Noise": with_detail(noisy["rgb"]),
-        "holes by cause": coloured_causes(env.measurement.causes),
-        f"depth, clean, {NEAREST} to {FARTHEST} mm": coloured_depth(clean["depth"]),
-        "depth, D455Noise; holes are black": coloured_depth(noisy["depth"]),
-        "its error; full colour is 3 mm": coloured_error(env.measurement.metres, clean["depth"] / 1000),
+        "Colour, clean": with_detail(clean["rgb"]),
+        "Colour with D455Noise": with_detail(noisy["rgb"]),
+        "Holes by cause": coloured_causes(env.measurement.causes),
+        f"Depth, clean: {NEAREST} mm yellow, {FARTHEST} mm blue": coloured_depth(clean["depth"]),
+        "Depth with D455Noise; holes black": coloured_depth(noisy["depth"]),
+        "Its error: red too far, blue too near, full at 3 mm": coloured_error(
+            env.measurement.metres, clean["depth"] / 1000
+        ),
     }
-    tiles = [titled(panel, title) for title, panel in panels.items()]
-    return np.concatenate([np.concatenate(tiles[:3], axis=1), np.concatenate(tiles[3:], axis=1)])
+    tiles = [titled(panel, title, LETTERS) for title, panel in panels.items()]
+    rows = [grid(evened(pair), 2) for pair in zip(tiles[:3], tiles[3:], strict=True)]
+    return np.concatenate(rows)
+
+
+def evened(tiles: tuple[np.ndarray, ...]) -> list[np.ndarray]:
+    """Pictures of one height, with white below the lower ones."""
+    tallest = max(map(len, tiles))
+    return [np.pad(tile, ((0, tallest - len(tile)), (0, 0), (0, 0)), constant_values=255) for tile in tiles]
 
 
 def milliseconds(call: Callable[[], object], runs: int) -> float:
@@ -180,8 +181,7 @@ def print_losses() -> None:
 
 
 if __name__ == "__main__":
-    shown = cv2.resize(picture(), None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA)
-    cv2.imwrite(str(IMAGES / "d455_noise.jpg"), shown[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])
+    save(IMAGES / "d455_noise.jpg", cv2.resize(picture(), None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA))
     print_noise()
     print_shares()
     print_losses()

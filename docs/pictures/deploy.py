@@ -8,19 +8,19 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from sheet import FIRST_KEY, GOAL_KEY, HIDDEN_KEY, VALID_KEY, grid, legend, titled
 from stages import write
 
 from shape_obs import ShapeGoal, ShapeObservation, Target
 from shape_obs.deploy import Limits, Step, deploy
-from shape_obs.drawing import draw_detection, draw_text
+from shape_obs.drawing import GOAL, draw_detection
 from shape_obs_envs.robots import SimulatedRobot
 
 sys.path.append(str(Path(__file__).parents[2] / "examples"))
 
 from deploy_loop import EndsFirst
 
-GOAL = (235, 130, 40)
-VIEW = slice(30, 400), slice(60, 580)
+VIEW, LETTERS = (slice(160, 720), slice(230, 1050)), 30  # of pictures twice as large
 
 
 def main() -> None:
@@ -48,23 +48,23 @@ def main() -> None:
 
     deploy(env, EndsFirst(), Limits(hold=3), steps=160, on_step=look)
     titles = {
-        "step 0": "step 0: the goal in orange",
-        "step 40": "step 40: at the goal",
-        "hand": "a hand: hidden points in red, the others keep their places",
+        "step 0": "Step 0",
+        "step 40": "Step 40: at the goal",
+        "hand": "A hand over an end",
     }
     panels = []
     for name, title in titles.items():
-        panel = shown[name].copy()
-        draw_text(panel, title, (10, 20))
-        panels.append(panel)
-    write("deploy.jpg", np.concatenate(panels, axis=1))
+        panels.append(titled(shown[name], title, LETTERS))
+    sheet = grid(panels, 2)
+    keys = legend([VALID_KEY, FIRST_KEY, HIDDEN_KEY, GOAL_KEY], sheet.shape[1], LETTERS)
+    write("deploy.jpg", np.concatenate([keys, sheet]))
 
 
 def picture(moment: Step, env: Any) -> np.ndarray:
     assert moment.frame is not None
     assert moment.frame.rgb is not None
     under = [(target.points2d, GOAL) for target in env.targets]
-    return draw_detection(moment.frame.rgb, moment.detection, under=under)[VIEW]
+    return draw_detection(moment.frame.rgb, moment.detection, scale=2, size=2.0, under=under)[VIEW]
 
 
 if __name__ == "__main__":

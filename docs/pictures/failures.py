@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
 import numpy as np
-from stages import SIZE, cloth, photograph, ring, rope, write
+from sheet import FIRST_KEY, HIDDEN_KEY, NO_DEPTH_KEY, VALID_KEY, Key, band, legend, save
+from stages import IMAGES, SIZE, cloth, enlarged, photograph, ring, rope
 
 from shape_obs import Centerline, Contour, Intrinsics, Shape, ShapeDetector, Surface
 from shape_obs.bench.synthetic.ropes import draw_rope
-from shape_obs.drawing import draw_detection
+from shape_obs.drawing import HIDDEN, draw_detection
 from shape_obs.shape import Detection
 
 Mask = np.ndarray
 PINHOLE = Intrinsics(SIZE[1], SIZE[0], 300.0, 300.0, 159.5, 119.5)
 HAND = (195, 150, 125)
+LETTERS = 26  # pixels of a picture of 640; the page shows it at half of that or less
 
 
 class Case(NamedTuple):
@@ -159,9 +162,33 @@ CASES: dict[str, Callable[[], Case]] = {
 }
 
 
+def picture(case: Case) -> np.ndarray:
+    """Return the image with the points that came out; below it what they mean, or why there are none."""
+    shape = case.shape
+    shown = case.detection if shape.ok else None
+    drawn = enlarged(case.image) if shown is None else draw_detection(case.image, silent(shown), scale=2, size=1.6)
+    keys: list[Key] = []
+    if shape.ok:
+        keys = [FIRST_KEY if shape.valid[0] else Key("point 0", HIDDEN, "first")]
+        keys += [key for key, where in (
+            (VALID_KEY, shape.valid), (NO_DEPTH_KEY, shape.visible & ~shape.valid), (HIDDEN_KEY, ~shape.visible),
+        ) if where.any()]  # fmt: skip
+    parts = [drawn]
+    if keys:
+        parts.append(legend(keys, drawn.shape[1], LETTERS))
+    if shape.reason:
+        parts.append(band(f"Reported: {shape.reason}", drawn.shape[1], LETTERS))
+    return np.concatenate(parts)
+
+
+def silent(detection: Detection) -> Detection:
+    """Return the detection without its reason, which stands below the picture."""
+    return replace(detection, shapes=tuple(replace(shape, reason="") for shape in detection.shapes))
+
+
 if __name__ == "__main__":
     for name, make in CASES.items():
         case = make()
         shape = case.shape
         print(f"{name:12} ok={shape.ok!s:5} quality={shape.quality:.2f} valid={shape.valid.sum():2} {shape.reason}")
-        write(f"wrong_{name}.jpg", draw_detection(case.image, case.detection, scale=2))
+        save(IMAGES / f"wrong_{name}.jpg", picture(case))

@@ -5,15 +5,16 @@ from __future__ import annotations
 import cv2
 import gymnasium as gym
 import numpy as np
+from sheet import write_text
 from stages import write
 
 from shape_obs import Shape, ShapeObservation
 from shape_obs.features import FeatureContext, read_features
 from shape_obs.geometry.topology import Chain, Ring
 
-ORANGE, GREEN, GRAY = (235, 130, 40), (30, 130, 60), (120, 120, 120)
+MAGENTA, GREEN, GRAY = (205, 40, 150), (20, 120, 60), (120, 120, 120)
 ZOOM, FINE = 2, 400
-WIDTH, HEIGHT, HEADING = 560, 500, 100  # of a panel, and of the part of it that is kept for words
+WIDTH, HEIGHT, HEADING = 560, 520, 130  # of a panel, and of the part of it that is kept for words
 
 
 def main() -> None:
@@ -47,7 +48,7 @@ def picture(
     out = cv2.resize(255 - (0.45 * (255.0 - image)).astype(np.uint8), None, fx=ZOOM, fy=ZOOM)
     fine = Ring(FINE) if isinstance(shape.layout, Ring) else Chain(FINE)
     notes: list[tuple[str, tuple[int, int, int]]] = []
-    for value, colour in zip(values, (ORANGE, GREEN), strict=True):
+    for value, colour in zip(values, (MAGENTA, GREEN), strict=True):
         (feature,) = read_features([{"kind": kind, setting: value, "frame": "pixels"}])
         coefficients = feature.compute(shape, view)
         curve = placed(feature.reconstruct(coefficients, fine, view))
@@ -68,7 +69,7 @@ def picture(
     out = out[top + HEIGHT : top + 2 * HEIGHT + HEADING, left + WIDTH : left + 2 * WIDTH].copy()
     notes.insert(0, (kind, (20, 20, 20)))
     for line, (text, colour) in enumerate(notes):
-        cv2.putText(out, text, (12, 28 + 28 * line), cv2.FONT_HERSHEY_SIMPLEX, 0.65, colour, 2, cv2.LINE_AA)
+        out = write_text(out, text, (12, 24 + 31 * line), 25, colour=colour, bold=line == 0)
     return out
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from sheet import grid, titled
 from stages import write
 
 from shape_obs import Centerline, HSVRange, ShapeObservation
@@ -52,12 +53,17 @@ def pictures(make_env: Callable[[], ShapeObservation], act: Any, steps: tuple[in
             assert env.detection is not None
             image = env.unwrapped.render()
             rgb = image[0] if isinstance(image, tuple) else image
-            out.append(draw_detection(np.ascontiguousarray(rgb), env.detection, scale=2)[MIDDLE])
+            out.append(draw_detection(np.ascontiguousarray(rgb), env.detection, scale=2, size=1.5)[MIDDLE])
         env.step(act(step))
     env.close()
     return out
 
 
 if __name__ == "__main__":
-    rows = [pictures(swimmer, stroke, (0, 25)), pictures(reacher, swing, (0, 25))]
-    write("foreign_envs.jpg", np.concatenate([np.concatenate(row, axis=1) for row in rows]))
+    rows = {"Swimmer": pictures(swimmer, stroke, (0, 25)), "Reacher": pictures(reacher, swing, (0, 25))}
+    panels = [
+        titled(picture, f"{name}, step {step}", 20)
+        for name, row in rows.items()
+        for step, picture in zip((0, 25), row, strict=True)
+    ]
+    write("foreign_envs.jpg", grid(panels, 2))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from sheet import grid, titled
 
 from shape_obs import HSVRange, Markers, Polygon, ShapeDetector, TopView
 from shape_obs.bench.synthetic.tabletop import LAYOUT, MarkerScene, marker_scene
@@ -36,13 +37,13 @@ def looked_at(picture: np.ndarray) -> np.ndarray:
     region = Markers().place(picture, None).region
     assert isinstance(region, Polygon)
     detection = ShapeDetector([{"kind": "centerline", "n": 10}], BLUE, roi="markers").detect(picture)
-    shown = draw_detection(picture, detection)
+    shown = draw_detection(picture, detection, size=1.6)
     area = np.array(region.points)
     draw_curve(shown, np.concatenate([area, area[:1]]), AREA, thickness=2)
     for number, corners in find_markers(picture).items():
         draw_curve(shown, np.concatenate([corners, corners[:1]]), FOUND, thickness=2)
         u, v = corners.max(axis=0)
-        draw_text(shown, str(number), (round(u) + 4, round(v) + 4), INK)
+        draw_text(shown, str(number), (round(u) + 4, round(v) + 4), INK, size=2.2)
     return shown
 
 
@@ -63,7 +64,7 @@ def from_above(picture: np.ndarray) -> np.ndarray:
         at = (margin + tenth / 10) * per_metre - 0.5
         for line in (((at, 0), (at, height)), ((0, at), (width, at))):
             draw_curve(above, np.array(line, np.float64), LINES)
-        draw_text(above, f"{tenth / 10:.1f} m", (round(at) + 3, 12), INK)
+        draw_text(above, f"{tenth / 10:.1f} m", (round(at) + 3, 24), INK, size=1.7)
     return above
 
 
@@ -71,9 +72,7 @@ def tile(panel: np.ndarray, title: str, height: int = 384) -> np.ndarray:
     """A panel of a height under its title."""
     width = round(panel.shape[1] * height / panel.shape[0])
     small = cv2.resize(panel, (width, height), interpolation=cv2.INTER_AREA)
-    band = np.full((26, width, 3), 255, np.uint8)
-    draw_text(band, title, (4, 18), INK)
-    return np.pad(np.concatenate([band, small]), ((0, 0), (3, 3), (0, 0)), constant_values=255)
+    return titled(small, title, 24)
 
 
 def sheets() -> np.ndarray:
@@ -97,9 +96,9 @@ if __name__ == "__main__":
     seen = marker_scene(SCENE)
     image = with_ropes(seen)
     tiles = [
-        tile(looked_at(image), "the area between four markers"),
-        tile(looked_at(under_a_hand(image, seen)), "one marker is hidden"),
-        tile(from_above(image), "the table from above"),
+        tile(looked_at(image), "The area between four markers"),
+        tile(looked_at(under_a_hand(image, seen)), "One marker is hidden"),
+        tile(from_above(image), "The table from above"),
     ]
-    save("markers.jpg", np.concatenate(tiles, axis=1))
+    save("markers.jpg", grid(tiles, len(tiles), gap=6))
     save("marker_sheets.jpg", sheets())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import gymnasium as gym
 import numpy as np
+from sheet import band
 from stages import write
 
 import shape_obs_envs  # noqa: F401
@@ -31,6 +32,9 @@ def frames(name: str, first: int) -> list[np.ndarray]:
 
 
 if __name__ == "__main__":
-    tiles = [frame for i, name in enumerate(("Cable", "Ring", "Cloth")) for frame in frames(name, 100 * i)]
-    rows = [np.concatenate(tiles[i : i + COLUMNS], axis=1) for i in range(0, len(tiles), COLUMNS)]
-    write("randomization.jpg", np.concatenate(rows))
+    parts = []
+    for i, name in enumerate(("Cable", "Ring", "Cloth")):
+        tiles = frames(name, 100 * i)
+        rows = [np.concatenate(tiles[k : k + COLUMNS], axis=1) for k in range(0, len(tiles), COLUMNS)]
+        parts += [band(f"{name}-v0", rows[0].shape[1], 24), *rows]
+    write("randomization.jpg", np.concatenate(parts))

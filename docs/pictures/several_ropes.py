@@ -26,12 +26,14 @@ def stages() -> np.ndarray:
     for shape in detection:
         draw_curve(slots, shape.pixels.astype(np.float64), slot_colours(detection)[shape.name], thickness=4)
         u, v = shape.pixels[N // 2].tolist()
-        draw_text(slots, shape.name, (min(round(u) + 12, 600), round(v) - 8))
+        draw_text(slots, shape.name, (min(round(u) + 12, 570), round(v) - 8), size=1.6)
     panels = {
         "1  one colour, one mask": scene.rgb,
         f"2  {len(detection)} slots": slots,
-        f"3  {N} points each, {len(detection.crossings)} crossings": draw_detection(scene.rgb, detection),
-        "4  the upper strand is drawn over the lower one": draw_detection(scene.rgb, detection, scale=2)[CLOSE],
+        f"3  {N} points each, {len(detection.crossings)} crossings": draw_detection(scene.rgb, detection, size=1.4),
+        "4  the upper strand is drawn over the lower one": draw_detection(scene.rgb, detection, scale=2, size=1.6)[
+            CLOSE
+        ],
     }
     return tiled([titled(panel, title) for title, panel in panels.items()])
 
@@ -43,7 +45,7 @@ def tracked() -> np.ndarray:
     for frame, moment in enumerate(moving_ropes(np.random.default_rng(SEED), pictures=True)):
         detection: Detection = detector.detect_mask(moment.mask)
         if frame in FRAMES and moment.rgb is not None:
-            panels.append(titled(draw_detection(moment.rgb, detection), f"frame {frame}"))
+            panels.append(titled(draw_detection(moment.rgb, detection, size=1.6), f"frame {frame}"))
     return tiled(panels)
 
 

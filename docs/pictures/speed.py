@@ -3,6 +3,8 @@
 shape-obs bench peers --json > peers.json
 shape-obs bench latency --memory 100000 --json > latency.json
 uv run python docs/pictures/speed.py peers.json latency.json
+
+Without files, the pictures are drawn again from the tables that stand on the pages.
 """
 
 from __future__ import annotations
@@ -16,19 +18,24 @@ from typing import Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import LogLocator, NullFormatter, NullLocator
+from speed_page import BLOCK, DOCS, PAGES, Document, Row, read_pages
 
 mpl.use("Agg")
 
-DOCS = Path(__file__).parent.parent
-PAGES = {"peers": DOCS / "benchmarks" / "speed-methods.md", "latency": DOCS / "benchmarks" / "speed-pipeline.md"}
 IMAGES = DOCS / "images"
 OURS, THEIRS, INK = "#2d55c8", "#c8cdd6", "#1e1e1e"
-STAGES = ("#2d55c8", "#7f9be8", "#e17828", "#f0b98d", "#3c9650", "#c8cdd6")
 METHODS = ("one pass: sumElems", "classic segmentation, full frame", "shape_obs, warm", "shape_obs, cold")
-BLOCK = r"(<!-- {name} -->\n).*?(<!-- end -->)"
-Document = dict[str, Any]
-Row = dict[str, Any]
+PROPORTIONAL = "#8a8f98"
+STAGES = ("#2d55c8", "#8fa8ec", "#3c9650", "#b6d9bd", "#8a56a8", "#c8cdd6")
+STAGE_NAMES = {
+    "segmentation": "segmentation: image to mask",
+    "fit": "fit: mask to points",
+    "lift": "lift: points to 3D",
+}
+DPI, LETTERS, SMALL = 130, 8.5, 8  # figures are 8.3 inches wide, so that letters of 8 points are 11 pixels high at 830
 
 
 def main(paths: Iterable[str]) -> None:
@@ -37,16 +44,14 @@ def main(paths: Iterable[str]) -> None:
     for path in paths:
         document = json.loads(Path(path).read_text(encoding="utf-8"))
         measured[document["measurement"]] = document
-    if not measured:
-        raise SystemExit("usage: speed.py peers.json latency.json")
     for name, document in measured.items():
         page = PAGES[name].read_text(encoding="utf-8")
         for block, text in blocks({name: document}).items():
             page = filled(page, block, text)
         PAGES[name].write_text(page, encoding="utf-8")
-    for name, picture in pictures(measured).items():
+    for name, picture in pictures(measured or read_pages()).items():
         figure = picture()
-        figure.savefig(IMAGES / f"speed_{name}.png", dpi=100, bbox_inches="tight")
+        figure.savefig(IMAGES / f"speed_{name}.png", dpi=DPI, bbox_inches="tight")
         plt.close(figure)
 
 
@@ -212,61 +217,82 @@ def _growth(rows: list[Row]) -> str:
 
 def draw_peers(works: dict[str, Document]) -> Any:
     """Bars of the median times, one panel a work."""
-    figure, axes = plt.subplots(1, len(works), figsize=(4.2 * len(works), 3.8), layout="constrained", squeeze=False)
-    for axis, (work, part) in zip(axes[0], works.items(), strict=True):
+    heights = [len(part["rows"]) for part in works.values()]
+    figure, axes = plt.subplots(
+        len(works), 1, figsize=(8.3, 0.9 * len(works) + 0.26 * sum(heights)), layout="constrained", squeeze=False,
+        sharex=True, gridspec_kw={"height_ratios": heights},
+    )  # fmt: skip
+    for axis, (work, part) in zip(axes[:, 0], works.items(), strict=True):
         rows = sorted(part["rows"], key=lambda row: -row["median_ms"])
         names = [row["method"] for row in rows]
         bars = axis.barh(
             names, [row["median_ms"] for row in rows], color=[OURS if _is_ours(row) else THEIRS for row in rows]
         )
-        axis.bar_label(bars, [number(row["median_ms"]) for row in rows], padding=3, fontsize=7)
+        axis.bar_label(bars, [f"{number(row['median_ms'])} ms" for row in rows], padding=3, fontsize=SMALL)
         axis.set_xscale("log")
-        axis.set_xlabel("milliseconds per frame", fontsize=8)
-        axis.set_title(f"{work}: {part['samples']} pixels to {part['points']} points", fontsize=9)
-        axis.tick_params(labelsize=7)
-        axis.margins(x=0.2)
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.set_title(f"{work.capitalize()}: {part['samples']} pixels to {part['points']} points", fontsize=10)
+        axis.tick_params(labelsize=SMALL, labelbottom=True)
+        axis.margins(x=0.1)
         axis.spines[["top", "right"]].set_visible(False)
+    axes[-1][0].set_xlabel("median time per frame [ms], logarithmic; shorter bars are faster", fontsize=LETTERS)
+    handles = [Patch(color=OURS, label="this library"), Patch(color=THEIRS, label="other methods")]
+    figure.legend(handles=handles, loc="outside upper center", ncols=2, frameon=False, fontsize=LETTERS)
     return figure
 
 
 def draw_stages(latency: Document) -> Any:
     """Stacked bars of the stages of a tracked frame, and one pass over the image."""
-    figure, axis = plt.subplots(figsize=(5.5, 3.4), layout="constrained")
+    figure, axis = plt.subplots(figsize=(8.3, 4.2), layout="constrained")
     rows = [row for row in latency["stages"] if row["method"] == "shape_obs, warm"]
     names = [name for name in (list(rows[0])[2:] if rows else []) if name != "total"]
     sizes, base = [row["image"] for row in rows], [0.0] * len(rows)
     for name, colour in zip(names, STAGES, strict=False):
-        axis.bar(sizes, [row[name] for row in rows], bottom=base, color=colour, label=name)
+        axis.bar(sizes, [row[name] for row in rows], bottom=base, color=colour, label=STAGE_NAMES.get(name, name))
         base = [low + row[name] for low, row in zip(base, rows, strict=True)]
     floor = [row["median_ms"] for row in latency["totals"] if row["method"].startswith("one pass")]
-    axis.plot(sizes, floor[: len(sizes)], "_", color=INK, markersize=30, label="one pass over the image")
-    axis.set_ylabel("milliseconds per frame", fontsize=8)
-    axis.tick_params(labelsize=8)
+    axis.plot(
+        sizes, floor[: len(sizes)], "_", color=INK, markersize=40, markeredgewidth=2.5,
+        label="for comparison: one pass over the image",
+    )  # fmt: skip
+    axis.set_ylabel("median time per frame [ms]", fontsize=LETTERS)
+    axis.set_xlabel("image size [pixels]", fontsize=LETTERS)
+    axis.tick_params(labelsize=LETTERS)
     axis.spines[["top", "right"]].set_visible(False)
-    axis.legend(fontsize=8, loc="upper left", reverse=True, markerscale=0.4)
+    axis.legend(fontsize=LETTERS, loc="upper left", reverse=True, markerscale=0.5)
     return figure
 
 
 def draw_growth(rows: list[Row]) -> Any:
     """One panel for each thing that grows; dotted is proportional growth."""
     grown = list(dict.fromkeys(row["grows"] for row in rows))
+    columns = min(2, len(grown))
+    lines = -(-len(grown) // columns)
     figure, axes = plt.subplots(
-        1, len(grown), figsize=(2.8 * len(grown), 2.6), layout="constrained", sharey=True, squeeze=False
+        lines, columns, figsize=(8.3, 0.5 + 2.4 * lines), layout="constrained", sharey=True, squeeze=False
     )
-    for axis, grows in zip(axes[0], grown, strict=True):
+    for axis in axes.flat[len(grown) :]:
+        axis.set_visible(False)
+    for axis, grows in zip(axes.flat, grown, strict=False):
         curve = [row for row in rows if row["grows"] == grows]
         amounts, times = ([row[key] for row in curve] for key in ("amount", "median_ms"))
-        axis.loglog(amounts, times, "o-", color=OURS, markersize=4)
-        axis.loglog(amounts, [times[0] * amount / amounts[0] for amount in amounts], ":", color=OURS)
-        axis.set_xticks(amounts, [f"{amount}" for amount in amounts], fontsize=7)
-        axis.xaxis.set_minor_formatter(NullFormatter())
+        axis.loglog(amounts, [times[0] * amount / amounts[0] for amount in amounts], ":", color=PROPORTIONAL, lw=2)
+        axis.loglog(amounts, times, "o-", color=OURS, markersize=5)
+        axis.set_xticks(amounts, [f"{amount}" for amount in amounts])
+        axis.xaxis.set_minor_locator(NullLocator())
         axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axis.yaxis.set_major_formatter("{x:g}")
         axis.yaxis.set_minor_formatter(NullFormatter())
-        axis.tick_params(labelsize=7)
-        axis.set_title(grows, fontsize=9)
+        axis.tick_params(labelsize=LETTERS, labelleft=True)
+        axis.set_xlabel(f"number of {grows}", fontsize=LETTERS)
         axis.spines[["top", "right"]].set_visible(False)
-    axes[0][0].set_ylabel("milliseconds per frame", fontsize=8)
+    for line in axes:
+        line[0].set_ylabel("time per frame [ms]", fontsize=LETTERS)
+    handles = [
+        Line2D([], [], color=OURS, marker="o", markersize=5, label="measured median"),
+        Line2D([], [], color=PROPORTIONAL, linestyle=":", lw=2, label="growth in proportion to the number"),
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=2, frameon=False, fontsize=LETTERS)
     return figure
 
 

@@ -7,10 +7,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 from scipy.spatial.distance import cdist
+from sheet import grid, save, titled
 
 from shape_obs import Centerline, Configuration, Contour, HSVRange, ShapeDetector, Surface
 from shape_obs.bench.synthetic.ropes import draw_rope
-from shape_obs.drawing import draw_curve, draw_detection, draw_text
+from shape_obs.configurations.base import Scene
+from shape_obs.drawing import draw_curve, draw_detection
 from shape_obs.frame import Frame
 from shape_obs.geometry.curve import FittedCurve, FittedForm
 from shape_obs.geometry.lattice import FittedLattice
@@ -28,7 +30,8 @@ SCALE = 2
 CELL = 6  # pixels
 BLUE, ORANGE, GREEN = (45, 85, 200), (225, 120, 40), (60, 150, 80)
 PALE, PAPER = (205, 215, 230), (250, 250, 250)
-INK, START, NODE = (30, 30, 30), (235, 130, 40), (210, 40, 160)
+INK, START, NODE = (30, 30, 30), (0, 125, 115), (210, 40, 160)
+LETTERS = 20  # pixels of a sheet 1290 pixels wide
 RULES = {
     "centerline": HSVRange(low=(100, 80, 40), high=(125, 255, 255)),
     "contour": HSVRange(low=(5, 120, 60), high=(20, 255, 255)),
@@ -81,7 +84,7 @@ def stages(spec: Configuration, mask: np.ndarray) -> np.ndarray:
     rule = RULES[spec.kind]
     window = Whole().window(SIZE)
     region = find_region(rule.apply(Frame(image, None, None, None), window), window, rule.min_area, rule.min_share)
-    found = spec.fit(region, None, None, None)
+    found = spec.fit(region, None, None, Scene(window))
     assert found.nodes is not None
     assert found.topology is not None
     start = initial_form(spec, region, found.form)
@@ -97,11 +100,10 @@ def stages(spec: Configuration, mask: np.ndarray) -> np.ndarray:
         f"4  {MAP[spec.kind]}, {len(found.nodes)} nodes": with_nodes(pale, path, found.topology),
         "5  the form through the nodes": with_form(pale, found.form),
         f"6  {spec.layout.size} ordered points, quality {detection.shapes[0].quality:.2f}": draw_detection(
-            image, detection, scale=SCALE
+            image, detection, scale=SCALE, size=1.6
         ),
     }
-    tiles = [titled(panel, title) for title, panel in panels.items()]
-    return np.concatenate([np.concatenate(tiles[:3], axis=1), np.concatenate(tiles[3:], axis=1)])
+    return grid([titled(panel, title, LETTERS) for title, panel in panels.items()], 2)
 
 
 MAP = {
@@ -156,11 +158,11 @@ def with_form(pale: np.ndarray, form: FittedForm) -> np.ndarray:
     if isinstance(form, FittedLattice):
         lattice = place(form.lattice)
         for line in (*lattice, *lattice.swapaxes(0, 1)):
-            draw_curve(picture, line, START, thickness=1)
+            draw_curve(picture, line, START, thickness=2)
     else:
         assert isinstance(form, FittedCurve)
         points = np.concatenate([form.points, form.points[:1]]) if form.closed else form.points
-        draw_curve(picture, place(points), START, thickness=2)
+        draw_curve(picture, place(points), START, thickness=4)
     return picture
 
 
@@ -173,13 +175,6 @@ def with_nodes(pale: np.ndarray, path: list[np.ndarray], topology: Topology) -> 
         draw_curve(picture, place(np.stack([nodes[node] for nodes in path])), START, thickness=2)
         cv2.circle(picture, np.rint(place(path[-1][node]) * 16).astype(int).tolist(), 56, NODE, -1, cv2.LINE_AA, 4)
     return picture
-
-
-def titled(panel: np.ndarray, title: str) -> np.ndarray:
-    """The panel under its title, with a frame of paper."""
-    band = np.full((30, panel.shape[1], 3), 255, np.uint8)
-    draw_text(band, title, (8, 20), INK)
-    return np.pad(np.concatenate([band, panel]), ((0, 6), (3, 3), (0, 0)), constant_values=255)
 
 
 def together() -> np.ndarray:
@@ -204,7 +199,7 @@ def together() -> np.ndarray:
 
 def write(name: str, picture: np.ndarray) -> None:
     """Write a picture of the docs."""
-    cv2.imwrite(str(IMAGES / name), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 90])
+    save(IMAGES / name, picture)
 
 
 if __name__ == "__main__":

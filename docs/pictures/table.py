@@ -2,6 +2,8 @@
 
 shape-obs bench table --out table
 uv run python docs/pictures/table.py table
+
+Without a folder, the bars are drawn again from the tables that stand on the page.
 """
 
 from __future__ import annotations
@@ -11,7 +13,9 @@ import shutil
 import sys
 from pathlib import Path
 
-from shape_obs.bench.table.figures import PICTURES
+from shape_obs.bench.table.figures import PICTURES, draw_bars
+from shape_obs.bench.table.summary import LABELS
+from shape_obs.bench.tables import Row
 
 DOCS = Path(__file__).parent.parent
 PAGES = {
@@ -40,7 +44,28 @@ def main(folder: Path) -> None:
         shutil.copyfile(folder / name, IMAGES / f"table_{name}")
 
 
+def read_page() -> list[Row]:
+    """The means of the page's tables and half their 95 % intervals, as the bars need them."""
+    methods = {label: method for method, label in LABELS.items()}
+    page, found = PAGE.read_text(encoding="utf-8"), []
+    for name in ("Centerline", "Contour", "Surface"):
+        lines = page.split(f"### {name}, ")[1].split("###")[0].splitlines()
+        for line in lines:
+            label, *cells = (cell.strip() for cell in line.strip("| ").split(" | "))
+            if label not in methods:
+                continue
+            row = Row(configuration=name.lower(), method=methods[label])
+            for measure, cell, factor in zip(("sc", "ch", "ms"), cells, (1, 1, 1000), strict=False):
+                mean, half = (factor * float(part) for part in cell.split(" ± "))
+                row |= {measure: mean, f"{measure}_half_interval": half}
+            found.append(row)
+    return found
+
+
 if __name__ == "__main__":
-    if len(sys.argv) != 2:
-        raise SystemExit("usage: table.py FOLDER")
-    main(Path(sys.argv[1]))
+    if len(sys.argv) > 2:
+        raise SystemExit("usage: table.py [FOLDER]")
+    if len(sys.argv) == 2:
+        main(Path(sys.argv[1]))
+    else:
+        draw_bars(read_page()).savefig(IMAGES / "table_bars.png", dpi=105)

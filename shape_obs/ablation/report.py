@@ -148,7 +148,7 @@ def draw(study: Study, summary: Summary, root: Path) -> list[Path]:
     need_matplotlib()
     sheets: dict[str, Callable[[Study, Summary], Any]] = {CURVES: _curves, INTERVALS: _intervals}
     if any(each.lost for each in summary.values()):
-        sheets[DEGRADATION] = _degradation
+        sheets[DEGRADATION] = draw_degradation
     for name, sheet in sheets.items():
         figure = sheet(study, summary)
         write_whole(root / name, lambda path, figure=figure: figure.savefig(path, dpi=_DPI))
@@ -161,12 +161,16 @@ def _curves(study: Study, summary: Summary) -> Any:
     from matplotlib.patches import Patch
 
     panels = list(groups(study))
-    figure = Figure(figsize=(1.2 + 3.4 * len(panels) + (len(panels) == 1), 3.5), layout="constrained")
-    axes = figure.subplots(1, len(panels), squeeze=False, sharex=True, sharey=True)[0]
+    columns = 2 if len(panels) > 2 else len(panels)
+    rows = -(-len(panels) // columns)
+    figure = Figure(figsize=(1.2 + 3.4 * columns + (columns == 1), 0.5 + 3.0 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
+    for axis in axes[len(panels) :]:
+        axis.set_visible(False)
     handles: list[Any] = []
     for arm, each in summary.items():
         colour = _colour(study, arm)
-        for axis, name in zip(axes, panels, strict=True):
+        for axis, name in zip(axes, panels, strict=False):
             steps = np.array(list(each.curve[name])) / 1e3
             value, low, high = np.array(list(each.curve[name].values())).T
             axis.plot(
@@ -175,17 +179,19 @@ def _curves(study: Study, summary: Summary) -> Any:
             )  # fmt: skip
             axis.fill_between(steps, low, high, color=colour, alpha=0.14, linewidth=0)
         handles.append(axes[0].get_lines()[-1])
-    for axis, name in zip(axes, panels, strict=True):
+    for axis, name in zip(axes, panels, strict=False):
         _style_axis(axis)
         axis.set_ylim(0, 100)
         axis.set_xlim(left=0)
         axis.set_title(_title(name), fontsize=9, color=_INK)
-        axis.set_xlabel("thousand steps", fontsize=9)
-    axes[0].set_ylabel("goals reached [%]", fontsize=9)
+        axis.tick_params(labelbottom=True, labelleft=True)
+        axis.set_xlabel("thousand steps of training", fontsize=9)
+    for axis in axes[::columns]:
+        axis.set_ylabel("goals reached [%]", fontsize=9)
     if any(each.runs > 1 for each in summary.values()):
         handles.append(Patch(color="#777777", alpha=0.2, label="95 % interval"))
-    columns = 4 if len(panels) == 1 else 8
-    figure.legend(handles=handles, loc="outside upper center", ncols=columns, frameon=False, fontsize=9)
+    entries = 4 if columns == 1 else 7
+    figure.legend(handles=handles, loc="outside upper center", ncols=entries, frameon=False, fontsize=9)
     return figure
 
 
@@ -200,12 +206,12 @@ def _intervals(study: Study, summary: Summary) -> Any:
     return figure
 
 
-def _degradation(study: Study, summary: Summary) -> Any:
+def draw_degradation(study: Study, summary: Summary) -> Any:
     """Draw the decrease of goals reached, with a panel for each disturbance."""
     arms = [arm for arm, each in summary.items() if each.lost]
     names = study.evaluation.disturbances
     panels = {name: {arm: summary[arm].lost[name] for arm in arms} for name in names}
-    figure, axes = _bars(study, arms, panels, "goals lost [percentage points]")
+    figure, axes = _bars(study, arms, panels, "goals lost [percentage points]; above 0: fewer reached than without it")
     for axis in axes:
         axis.axvline(0, color=_INK, linewidth=0.8, zorder=0.9)
     return figure
@@ -214,8 +220,10 @@ def _degradation(study: Study, summary: Summary) -> Any:
 def _bars(study: Study, arms: Sequence[str], panels: Mapping[str, Mapping[str, Interval]], label: str) -> Any:
     """Draw a row for each arm, with the interval as a bar and the value as a line in it."""
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
-    figure = Figure(figsize=(1.6 + 2.6 * len(panels), 0.9 + 0.34 * len(arms)), layout="constrained")
+    figure = Figure(figsize=(1.6 + 2.2 * len(panels), 1.25 + 0.38 * len(arms)), layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False, sharex=True, sharey=True)[0]
     for axis, (title, found) in zip(axes, panels.items(), strict=True):
         for row, arm in enumerate(arms):
@@ -231,6 +239,12 @@ def _bars(study: Study, arms: Sequence[str], panels: Mapping[str, Mapping[str, I
         axis.set_yticks(range(len(arms)), arms)
         axis.tick_params(axis="y", length=0)
     axes[0].invert_yaxis()
+    handles = [
+        Line2D([], [], color="#777777", marker="|", markersize=10, markeredgewidth=2.2, linewidth=0,
+               label="interquartile mean over runs"),
+        Patch(color="#777777", alpha=0.35, label="95 % interval"),
+    ]  # fmt: skip
+    figure.legend(handles=handles, loc="outside upper center", ncols=2, frameon=False, fontsize=9)
     figure.supxlabel(label, fontsize=9)
     return figure, axes
 
@@ -255,4 +269,4 @@ def _style_axis(axis: Any) -> None:
     axis.spines[["top", "right"]].set_visible(False)
     axis.grid(color=_GRID, linewidth=0.7)
     axis.set_axisbelow(True)
-    axis.tick_params(labelsize=8)
+    axis.tick_params(labelsize=9)

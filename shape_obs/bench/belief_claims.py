@@ -134,7 +134,7 @@ def draw(rows: Iterable[Row], folder: Path) -> Path:
                 expected, seen = _curve(sigma[known], errors[known] / np.sqrt(axes))
                 if len(seen):
                     axis.plot(scale * expected, scale * seen, style, marker=".", color=colour, label=label)
-        axis.axline((1, 1), (10, 10), color="#22313f", linewidth=0.8, zorder=0)
+        axis.axline((1, 1), (10, 10), color="#22313f", linewidth=0.8, zorder=0, label="RMS error = sigma")
         axis.set(xscale="log", yscale="log", xlabel=f"sigma [{unit}]", ylabel=f"RMS error per axis [{unit}]")
         axis.set_title("points in space, depth of a D455" if space else "points in the image, the mask alone")
         axis.legend(frameon=False, fontsize=8)

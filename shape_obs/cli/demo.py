@@ -14,10 +14,13 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from shape_obs.drawing import RerunLog
+    from shape_obs.drawing import Image, RerunLog
     from shape_obs.shape import Detection
 
-_ORANGE = (235, 130, 40)  # the goal
+_PAUSE = 20  # repetitions of the last frame
+_MARGIN = 40  # pixels of an image 640 pixels wide, around everything that moves in it
+_WIDTH = 640  # pixels of a panel, about
+_LEGEND = 48  # pixels of the band with title and legend, at size 1
 
 
 @dataclass(frozen=True)
@@ -39,11 +42,20 @@ class Arguments:
     or write OUT/demo.rrd if there is no display (needs the extra 'rerun')."""
 
 
+@dataclass(frozen=True)
+class Moment:
+    """What is drawn of one frame: the image, the shape, and the goal as ``(N, 2)`` pixels."""
+
+    picture: Image
+    detection: Detection
+    goal: npt.NDArray[np.float64]
+
+
 @dataclass
 class Record:
     """Frames and measurements of an episode."""
 
-    frames: list[npt.NDArray[np.uint8]]
+    moments: list[Moment]
     vectors: list[npt.NDArray[np.float32]]
     errors_mm: list[float]
     errors_px: list[float]
@@ -69,8 +81,11 @@ def main(argv: Sequence[str]) -> int:
 
         with open_rerun(args.rerun, out / "demo", "shape-obs demo") as stream:
             record = run_episode(args, RerunLog(stream.recording))
-    write_image(out / "demo.png", np.concatenate([record.frames[0], record.frames[-1]], axis=1))
-    write_gif(out / "demo.gif", record.frames, 0.05)
+    large = draw_frames(record.moments, record.goal_distances_mm, size=2.0)
+    gap = np.full((len(large[0]), 8, 3), 255, np.uint8)
+    write_image(out / "demo.png", np.concatenate([large[0], gap, large[-1]], axis=1))
+    frames = draw_frames(record.moments, record.goal_distances_mm, size=1.5)
+    write_gif(out / "demo.gif", frames + frames[-1:] * _PAUSE, 0.05)
     print(summary(record))
     print(f"pictures        {out / 'demo.png'}, {out / 'demo.gif'}")
     return 0
@@ -128,7 +143,6 @@ def _remember(
     """Add one frame and its measurements to the record."""
     import numpy as np
 
-    from shape_obs.drawing import draw_detection, draw_text
     from shape_obs.drawing.matching_pixels import matching_pixels
     from shape_obs.frame import Frame
 
@@ -148,7 +162,6 @@ def _remember(
     record.goal_distances_mm.append(1e3 * float(np.linalg.norm(found - goal, axis=1).mean()))
     record.vectors.append(observation["observation"])
     picture, depth = env.render()
-    scale = max(1, 480 // picture.shape[0])
     goal_pixels = simulator.camera_model.project_from_base(goal)
     if log is not None:
         log.log(
@@ -160,7 +173,60 @@ def _remember(
             features=env.named_features(observation["observation"]),
             goals=[goal_pixels],
         )
-    canvas = draw_detection(picture, detection, scale=scale, under=[(goal_pixels, _ORANGE)])
-    away = record.goal_distances_mm[-1]
-    draw_text(canvas, f"step {len(record.frames) + 1}: {away:.1f} mm from the goal (orange)", (12, 24))
-    record.frames.append(canvas)
+    record.moments.append(Moment(picture, detection, goal_pixels))
+
+
+def draw_frames(moments: Sequence[Moment], distances_mm: Sequence[float], size: float) -> list[Image]:
+    """Draw every frame, cropped to where the cable and the goal ever are, under its distance and a legend.
+
+    Args:
+        moments: The frames.
+        distances_mm: The distance of each from the goal.
+        size: Enlarges points, lines and text.
+    """
+    import numpy as np
+
+    from shape_obs.drawing import GOAL, draw_detection
+
+    left, top, right, bottom = _window(moments)
+    scale = max(1, round(_WIDTH / (right - left)))
+    hidden = any(not moment.detection.shapes[0].valid.all() for moment in moments)
+    frames = []
+    for step, (moment, away) in enumerate(zip(moments, distances_mm, strict=True), start=1):
+        under = [(moment.goal, GOAL)]
+        canvas = draw_detection(moment.picture, moment.detection, scale=scale, size=size, under=under)
+        canvas = canvas[top * scale : bottom * scale, left * scale : right * scale]
+        title = f"Step {step}: {away:.1f} mm from the goal"
+        frames.append(np.concatenate([_heading(title, canvas.shape[1], size, hidden=hidden), canvas]))
+    return frames
+
+
+def _window(moments: Sequence[Moment]) -> tuple[int, int, int, int]:
+    """Return left, top, right and bottom of what is shown of the pictures."""
+    import numpy as np
+
+    places = [points for each in moments for points in (each.goal, each.detection.shapes[0].pixels)]
+    points = np.concatenate(places)
+    height, width = moments[0].picture.shape[:2]
+    margin = _MARGIN * width // 640
+    low, high = np.nanmin(points, axis=0) - margin, np.nanmax(points, axis=0) + margin
+    left, top = (max(int(edge), 0) for edge in low)
+    return left, top, min(int(high[0]), width), min(int(high[1]), height)
+
+
+def _heading(title: str, width: int, size: float, *, hidden: bool) -> Image:
+    """Return a band with a title and the legend."""
+    import numpy as np
+
+    from shape_obs.drawing import GOAL, HIDDEN, VALID, draw_curve, draw_point, draw_text, text_width
+
+    band = np.full((round(_LEGEND * size), width, 3), 255, np.uint8)
+    draw_text(band, title, (round(7 * size), round(17 * size)), size=size)
+    at, middle = 12 * size, 36 * size
+    for name, colour in (("detected point", VALID), *([("hidden point", HIDDEN)] if hidden else [])):
+        draw_point(band, np.array([at, middle]), colour, size=size)
+        draw_text(band, name, (round(at + 10 * size), round(middle + 4 * size)), size=size)
+        at += 32 * size + text_width(name, size)
+    draw_curve(band, np.array([[at - 7 * size, middle], [at + 9 * size, middle]]), GOAL, thickness=round(4 * size))
+    draw_text(band, "goal", (round(at + 15 * size), round(middle + 4 * size)), size=size)
+    return band

@@ -10,11 +10,9 @@ from typing import Any
 import numpy as np
 
 from shape_obs.deploy.loop import Step
-from shape_obs.drawing import draw_detection
+from shape_obs.drawing import GOAL, draw_detection
 from shape_obs.utils.errors import install_hint
 from shape_obs.utils.newest import Newest
-
-GOAL = (235, 130, 40)
 
 
 class LiveView:

@@ -21,6 +21,7 @@ Colour = tuple[int, int, int]
 VALID: Final[Colour] = (60, 200, 80)
 VISIBLE: Final[Colour] = (255, 170, 0)
 HIDDEN: Final[Colour] = (230, 50, 50)
+GOAL: Final[Colour] = (235, 130, 40)
 PAPER: Final[Colour] = (255, 255, 255)
 _INK: Final[Colour] = (20, 20, 20)
 # Lines of slots, far from the colours of points and from each other.
@@ -32,10 +33,16 @@ NUMBERED: Final = 5  # of a slot's points, one in so many shows its number
 _HALF: Final = 12.0  # pixels: half the stroke of the upper strand of a crossing
 _ANTIALIASED: Final = cv2.LINE_AA
 _SHIFT: Final = 4
+_FONT: Final = 0.4  # OpenCV's scale of letters, about 12 pixels high
 
 
 def draw_detection(
-    rgb: Image, detection: Detection, *, scale: int = 1, under: Sequence[tuple[Array, Colour]] = ()
+    rgb: Image,
+    detection: Detection,
+    *,
+    scale: int = 1,
+    size: float = 1.0,
+    under: Sequence[tuple[Array, Colour]] = (),
 ) -> Image:
     """Draw every shape over a copy of the image.
 
@@ -43,40 +50,42 @@ def draw_detection(
         rgb: ``(H, W, 3)`` uint8, RGB.
         detection: What was found in it.
         scale: Enlarges the picture first, so that numbers fit on small images.
+        size: Enlarges points, lines and text, for pictures that are shown smaller than they are.
         under: Curves of ``(K, 2)`` pixels with their colours, drawn below the shapes: goals, truth.
 
     Returns:
-        (H*scale, W*scale, 3) uint8, RGB: green points are valid, orange ones on the mask but without depth, red ones
-        hidden or held; numbers run from 0 and the first point is ringed. Slots of one configuration have lines of their
-        own colours, their names at point 0, and a number at every fifth point. Where ropes cross, the upper one is
-        drawn over the lower one, which has a gap; a broken ring marks a crossing of which the upper strand is unknown.
-        Text says why a shape was not found, how many objects have no slot, that a numbering begins anew, and what is
-        wrong with the stamp.
+        (H*scale, W*scale, 3) uint8, RGB: green discs are valid points, orange squares points on the mask but without
+        depth, red crosses points that are hidden or held; numbers run from 0 and the first point is ringed. Slots of
+        one configuration have lines of their own colours, their names at point 0, and a number at every fifth point.
+        Where ropes cross, the upper one is drawn over the lower one, which has a gap; a broken ring marks a crossing of
+        which the upper strand is unknown. Text says why a shape was not found, how many objects have no slot, that a
+        numbering begins anew, and what is wrong with the stamp.
     """
     picture = rgb.repeat(scale, axis=0).repeat(scale, axis=1)
     for curve, colour in under:
-        draw_curve(picture, _enlarged(curve, scale), colour, thickness=2)
+        draw_curve(picture, _enlarged(curve, scale), colour, thickness=round(4 * size))
     lines = [detection.warning] if detection.warning else []
     lines += [f"{name}: {more} more found than there are slots" for name, more in detection.more.items()]
     slots = slot_colours(detection)
     for shape in detection:
-        _draw_lines(picture, shape, scale, slots.get(shape.name))
+        _draw_lines(picture, shape, scale, slots.get(shape.name), size)
     for crossing in detection.crossings:
-        _draw_crossing(picture, crossing, detection, scale, slots)
+        _draw_crossing(picture, crossing, detection, scale, slots, size)
     for shape in detection:
-        _draw_points(picture, shape, scale, NUMBERED if shape.name in slots else 1)
+        _draw_points(picture, shape, scale, NUMBERED if shape.name in slots else 1, size)
     for shape in detection:
         if shape.name in slots and np.isfinite(shape.pixels[0]).all():
             u, v = _enlarged(shape.pixels[:1], scale)[0].tolist()
-            width = cv2.getTextSize(shape.name, cv2.FONT_HERSHEY_SIMPLEX, 0.4, 1)[0][0]
-            place = min(max(round(u) - width // 2, 2), picture.shape[1] - width - 2), max(round(v) - 14, 12)
-            draw_text(picture, shape.name, place)
+            width = text_width(shape.name, size)
+            place = min(max(round(u) - width // 2, 2), picture.shape[1] - width - 2), max(round(v - 14 * size), 12)
+            draw_text(picture, shape.name, place, size=size)
         if shape.reason:
             lines.append(f"{shape.name}: {shape.reason}")
         elif shape.new and shape.track_id > 1:
             lines.append(f"{shape.name}: the numbering begins anew, track {shape.track_id}")
-    for row, line in enumerate(lines):
-        draw_text(picture, line, (8, 20 + 18 * row), HIDDEN)
+    rows = [row for line in lines for row in wrapped(line, picture.shape[1] - 16, size)]
+    for k, row in enumerate(rows):
+        draw_text(picture, row, (8, round((20 + 18 * k) * size)), HIDDEN, size=size)
     return picture
 
 
@@ -111,42 +120,56 @@ def draw_shape(picture: Image, shape: Shape, *, scale: int = 1) -> None:
     _draw_points(picture, shape, scale, 1)
 
 
-def _draw_lines(picture: Image, shape: Shape, scale: int, colour: Colour | None = None) -> None:
+def _draw_lines(picture: Image, shape: Shape, scale: int, colour: Colour | None = None, size: float = 1.0) -> None:
     points = _enlarged(shape.pixels, scale)
     known: npt.NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=1))
     for first, second in shape.layout.edges():
         if known[first] and known[second]:
-            draw_curve(picture, points[[first, second]], colour or PAPER, thickness=3 if colour else 1)
+            draw_curve(picture, points[[first, second]], colour or PAPER, thickness=round((3 if colour else 1) * size))
 
 
-def _draw_points(picture: Image, shape: Shape, scale: int, step: int) -> None:
+def _draw_points(picture: Image, shape: Shape, scale: int, step: int, size: float = 1.0) -> None:
     """Draw the points of a shape, and the numbers of one in ``step``."""
     points = _enlarged(shape.pixels, scale)
-    numbers = points + _number_offsets(points, shape.layout)
+    numbers = points + _number_offsets(points, shape.layout, 16 * size)
     colours = point_colours(shape)
     for i in np.flatnonzero(np.isfinite(points).all(axis=1)).tolist():
-        colour = colours[i]
-        centre = _fixed(points[i])
-        cv2.circle(picture, centre, 5 << _SHIFT, PAPER, -1, _ANTIALIASED, _SHIFT)
-        cv2.circle(picture, centre, 4 << _SHIFT, colour, -1, _ANTIALIASED, _SHIFT)
+        draw_point(picture, points[i], colours[i], size=size)
         if i == 0:
-            cv2.circle(picture, centre, 8 << _SHIFT, _INK, 1, _ANTIALIASED, _SHIFT)
+            radius = round((8 << _SHIFT) * size)
+            cv2.circle(picture, _fixed(points[i]), radius, _INK, round(size), _ANTIALIASED, _SHIFT)
         if i % step == 0 and (i > 0 or step == 1):
-            _number(picture, str(i), numbers[i])
+            _number(picture, str(i), numbers[i], size)
+
+
+def draw_point(picture: Image, point: Array, colour: Colour, *, size: float = 1.0) -> None:
+    """Draw a point in place: a disc, a square in the colour ``VISIBLE``, a cross in the colour ``HIDDEN``."""
+    for ink, wider in ((PAPER, 1.0), (colour, 0.0)):
+        half = (4 + wider) * size
+        if colour == HIDDEN:
+            arm = np.array([half, half]) + 0.5 * size
+            for end in (arm, arm * (1, -1)):
+                draw_curve(picture, np.stack([point - end, point + end]), ink, thickness=round((3 + 2 * wider) * size))
+        elif colour == VISIBLE:
+            corners = np.round((point + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])) * (1 << _SHIFT))
+            cv2.fillConvexPoly(picture, corners.astype(np.int32), ink, _ANTIALIASED, _SHIFT)
+        else:
+            cv2.circle(picture, _fixed(point), round(half * (1 << _SHIFT)), ink, -1, _ANTIALIASED, _SHIFT)
 
 
 def _draw_crossing(
-    picture: Image, crossing: Crossing, detection: Detection, scale: int, slots: dict[str, Colour]
+    picture: Image, crossing: Crossing, detection: Detection, scale: int, slots: dict[str, Colour], size: float
 ) -> None:
     """Draw the upper strand over the lower one, or a ring where it is unknown which one that is."""
     centre = _enlarged(np.array(crossing.pixel), scale)
     if crossing.above is None:
         for start in (15, 195):
             for colour, thickness in ((PAPER, 4), (_INK, 2)):
-                axes = (10 << _SHIFT, 10 << _SHIFT)
+                radius, stroke = round((10 << _SHIFT) * size), round(thickness * size)
                 cv2.ellipse(
-                    picture, _fixed(centre), axes, 0, start, start + 150, colour, thickness, _ANTIALIASED, _SHIFT
-                )
+                    picture, _fixed(centre), (radius, radius), 0, start, start + 150, colour, stroke, _ANTIALIASED,
+                    _SHIFT,
+                )  # fmt: skip
         return
     shape = detection[crossing.slots[crossing.above]]
     points = _enlarged(shape.pixels, scale)
@@ -155,10 +178,14 @@ def _draw_crossing(
     along = points[first + 1] - points[first]
     if not np.isfinite(along).all():
         return
-    along *= _HALF / max(float(np.linalg.norm(along)), 1e-9)
+    along *= _HALF * size / max(float(np.linalg.norm(along)), 1e-9)
     colour = slots.get(shape.name)
-    draw_curve(picture, np.stack([centre - along, centre + along]), PAPER if colour else _INK, thickness=11)
-    draw_curve(picture, np.stack([centre - 1.2 * along, centre + 1.2 * along]), colour or PAPER, thickness=3)
+    draw_curve(
+        picture, np.stack([centre - along, centre + along]), PAPER if colour else _INK, thickness=round(11 * size)
+    )
+    draw_curve(
+        picture, np.stack([centre - 1.2 * along, centre + 1.2 * along]), colour or PAPER, thickness=round(3 * size)
+    )
 
 
 def draw_curve(picture: Image, points: Array, colour: Colour, *, thickness: int = 1) -> None:
@@ -192,15 +219,31 @@ def _fixed(point: Array) -> tuple[int, int]:
     return round(point[0] * (1 << _SHIFT)), round(point[1] * (1 << _SHIFT))
 
 
-def _number(picture: Image, text: str, centre: Array) -> None:
+def _number(picture: Image, text: str, centre: Array, size: float) -> None:
     if np.isfinite(centre).all():
-        (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.4, 1)
-        draw_text(picture, text, (round(centre[0] - width / 2), round(centre[1] + height / 2)))
+        (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, _FONT * size, 1)
+        draw_text(picture, text, (round(centre[0] - width / 2), round(centre[1] + height / 2)), size=size)
 
 
-def draw_text(picture: Image, text: str, origin: tuple[int, int], colour: Colour = _INK) -> None:
+def text_width(text: str, size: float = 1.0) -> int:
+    """Return the width in pixels of a text that ``draw_text`` draws."""
+    return int(cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, _FONT * size, 1)[0][0])
+
+
+def wrapped(text: str, width: int, size: float = 1.0) -> list[str]:
+    """Return the lines of a text that is at most ``width`` pixels wide; a longer word has a line for itself."""
+    lines: list[str] = []
+    for word in text.split():
+        if lines and text_width(f"{lines[-1]} {word}", size) <= width:
+            lines[-1] += f" {word}"
+        else:
+            lines.append(word)
+    return lines
+
+
+def draw_text(picture: Image, text: str, origin: tuple[int, int], colour: Colour = _INK, *, size: float = 1.0) -> None:
     """Draw small text with a halo in place, its lower left corner at ``origin`` = (u, v)."""
     # Shifted copies, not a bolder one: OpenCV 5 spaces bold letters wider.
     for du, dv, ink in ((-1, 0, PAPER), (1, 0, PAPER), (0, -1, PAPER), (0, 1, PAPER), (0, 0, colour)):
         place = (origin[0] + du, origin[1] + dv)
-        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.4, ink, 1, _ANTIALIASED)
+        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, _FONT * size, ink, 1, _ANTIALIASED)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
-from shape_obs.drawing.pictures import NUMBERED, PAPER, Image, point_colours, slot_colours
+from shape_obs.drawing.pictures import GOAL, NUMBERED, PAPER, Image, point_colours, slot_colours
 from shape_obs.drawing.rerun_layout import IMAGE, LOG, PLOTS, WORLD, layout
 from shape_obs.frame import FARTHEST, MILLIMETRE, Frame
 from shape_obs.image.mask_check import check_given_mask
@@ -24,7 +24,6 @@ _JPEG_QUALITY: Final = 85
 _UNIX_TIME: Final = 1e9  # seconds; larger stamps are times since 1970, smaller ones since some start
 _FILL: Final = 0.3  # of a point of the depth cloud, so that points of the shape inside the object are seen through it
 _MASK: Final = ((0, "background", (0, 0, 0, 0)), (1, "object", (60, 200, 80, 90)))
-_GOAL: Final = (235, 130, 40)
 # Negative radii are in pixels of the screen.
 _POINT, _FIRST, _LINE = -4.0, -6.0, -1.5
 
@@ -106,7 +105,7 @@ class RerunLog:
         self._log_camera(frame.camera)
         self._log_images(frame, region)
         if goals:
-            self._log(f"{IMAGE}/goals", self._rr.LineStrips2D(list(goals), colors=_GOAL, radii=_LINE))
+            self._log(f"{IMAGE}/goals", self._rr.LineStrips2D(list(goals), colors=GOAL, radii=_LINE))
         if detection is not None:
             self._log_detection(detection)
         for name, values in (features or {}).items():

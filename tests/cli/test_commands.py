@@ -14,6 +14,7 @@ from PIL import Image
 
 from shape_obs.bench.synthetic.ropes import draw_rope
 from shape_obs.cli import main
+from shape_obs.drawing import GOAL, VALID
 
 BLUE = (30, 60, 200)
 HSV = ["--hsv", "100", "100", "50", "130", "255", "255"]
@@ -163,7 +164,11 @@ def test_demo_runs_without_gl_and_writes_its_pictures(tmp_path, capsys):
     assert code == 0
     assert "20 points" in out
     assert "not ok: 0, order reversed: 0" in out
-    assert Image.open(tmp_path / "demo.png").size == (1280, 480)
+    picture = np.asarray(Image.open(tmp_path / "demo.png"))
+    assert 1000 < picture.shape[1] < 2000
+    assert picture.shape[0] < picture.shape[1] / 2, "cropped to the cable"
+    for colour in (GOAL, VALID):
+        assert (picture == colour).all(axis=2).any()
     assert getattr(Image.open(tmp_path / "demo.gif"), "n_frames", 1) >= 5
     assert sorted(path.name for path in tmp_path.iterdir()) == ["demo.gif", "demo.png"], "nothing half-written stays"
 

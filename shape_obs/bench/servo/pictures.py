@@ -12,6 +12,7 @@ import numpy.typing as npt
 from shape_obs.bench.servo.episode import REACHED, Found
 from shape_obs.bench.servo.settings import LAYOUTS, Difficulty, Setting
 from shape_obs.bench.tables import Row
+from shape_obs.drawing import GOAL
 from shape_obs.utils.files import write_whole
 
 Array = npt.NDArray[np.float64]
@@ -23,8 +24,8 @@ _COLOURS: Final = (
 )  # fmt: skip
 _LINES: Final[dict[str, dict[str, Any]]] = {
     "start": {"color": "#b8bcc0", "linewidth": 2.0},
-    "final": {"color": _COLOURS[1], "linewidth": 1.8},
-    "goal": {"color": _INK, "linewidth": 1.4, "linestyle": ":"},
+    "final": {"color": _COLOURS[0], "linewidth": 1.8},
+    "goal": {"color": tuple(level / 255 for level in GOAL), "linewidth": 2.0, "linestyle": ":"},
 }
 _STYLES: Final = {"camera": "-", "truth": (0, (4, 2))}
 _DPI: Final = 110
@@ -52,7 +53,7 @@ def _curves(found: Found) -> Any:
     lines = many[by_law]
     panels = _distinct(_panel(setting, by_law) for setting in found)
     columns: list[Difficulty] = _distinct(setting.difficulty for setting in found)
-    figure = Figure(figsize=(1.2 + 3.6 * len(columns), 0.7 + 2.5 * len(panels)), layout="constrained")
+    figure = Figure(figsize=(0.9 + 2.7 * len(columns), 0.9 + 2.3 * len(panels)), layout="constrained")
     axes = figure.subplots(len(panels), len(columns), squeeze=False, sharex=True, sharey=True)
     for setting, some in found.items():
         axis = axes[panels.index(_panel(setting, by_law)), columns.index(setting.difficulty)]
@@ -72,7 +73,7 @@ def _curves(found: Found) -> Any:
             axis.yaxis.set_major_formatter("{x:g}")
             axis.axhline(REACHED, color=_INK, linewidth=0.8, linestyle=":")
         row[0].set_ylabel("mean error [mm]")
-    figure.legend(handles=_legend(lines, found), loc="outside upper center", ncols=6, frameon=False, fontsize=9)
+    figure.legend(handles=_legend(lines, found), loc="outside upper center", ncols=5, frameon=False, fontsize=9)
     return figure
 
 
@@ -88,7 +89,8 @@ def _legend(lines: Sequence[str], found: Found) -> list[Any]:
     for source in _distinct(setting.source for setting in found):
         name = {"camera": "from the camera", "truth": "from the true points"}[source]
         handles.append(Line2D([], [], color="#777777", linestyle=_STYLES[source], label=name))
-    return [*handles, Patch(color="#777777", alpha=0.2, label="quartiles")]
+    reached = Line2D([], [], color=_INK, linewidth=0.8, linestyle=":", label=f"{REACHED:g} mm: goal reached")
+    return [*handles, Patch(color="#777777", alpha=0.2, label="quartiles"), reached]
 
 
 def _overlays(found: Found) -> Any:
@@ -112,7 +114,11 @@ def _overlays(found: Found) -> Any:
         label = f"{setting.env}, {setting.difficulty}\n{setting.features}, {setting.law}\n{row[0].get_ylabel()}"
         row[0].set_ylabel(label, fontsize=9)
     handles = [Line2D([], [], label="end" if name == "final" else name, **style) for name, style in _LINES.items()]
-    figure.legend(handles=handles, loc="outside upper center", ncols=3, frameon=False, fontsize=9)
+    handles.append(Line2D([], [], color="#777777", marker="o", markersize=4, linewidth=0, label="point 0"))
+    title = "mean distance from the goal at the start and at the end above each panel"
+    figure.legend(
+        handles=handles, loc="outside upper center", ncols=4, frameon=False, fontsize=9, title=title, title_fontsize=9
+    )
     return figure
 
 
@@ -123,7 +129,7 @@ def _worth(setting: Setting, some: Sequence[Row]) -> tuple[bool, int, float]:
 
 
 def _shapes(axis: Any, setting: Setting, episode: Row) -> None:
-    """Draw the start in grey, the end in colour and the goal dotted; point 0 is marked."""
+    """Draw the start in grey, the end in blue and the goal as orange dots; point 0 is marked."""
     edges, plane = LAYOUTS[setting.env].edges(), _plane(episode)
     for name, style in _LINES.items():
         points = np.asarray(episode[name])[:, plane]

@@ -33,12 +33,13 @@ _COLOURS: Final[dict[Method, str]] = {
 }
 _INK, _FIRST, _PAPER = "#22313f", "#d4541a", "#f4f4f2"
 _MARGIN: Final = 14  # pixels around the object
+_CAPTION: Final = 0.95  # inches above each picture
 _DPI: Final = 105
 
 
 def draw(plan: Plan, found: Sequence[Row], folder: Path) -> list[Path]:
     """Draw both figures into a folder and return their paths."""
-    sheets = (_side_by_side(plan), _bars(found))
+    sheets = (_side_by_side(plan), draw_bars(found))
     paths = [folder / name for name in PICTURES]
     for sheet, path in zip(sheets, paths, strict=True):
         quality: dict[str, Any] = {"pil_kwargs": {"quality": 84, "optimize": True}} if path.suffix == ".jpg" else {}
@@ -54,20 +55,24 @@ def _side_by_side(plan: Plan) -> Any:
     windows = {name: _window(scene) for name, (scene, _) in found.items()}
     heights = [window[3] / window[2] for window in windows.values()]
     width = 3.1
-    figure = Figure(figsize=(width * len(plan.methods), sum(heights) * width + 0.42 * len(heights) + 0.1))
+    figure = Figure(figsize=(width * len(plan.methods), sum(heights) * width + _CAPTION * len(heights) + 0.1))
     figure.set_facecolor("white")
     axes = figure.subplots(
         len(found),
         len(plan.methods),
         squeeze=False,
-        gridspec_kw={"height_ratios": heights, "wspace": 0.03, "hspace": 0.13},
+        gridspec_kw={
+            "height_ratios": heights,
+            "wspace": 0.03,
+            "hspace": _CAPTION * len(heights) / (sum(heights) * width),
+        },
     )
-    figure.subplots_adjust(left=0.005, right=0.995, bottom=0.01, top=1 - 0.36 / figure.get_figheight())
+    figure.subplots_adjust(left=0.005, right=0.995, bottom=0.01, top=1 - _CAPTION / figure.get_figheight())
     for row, name in zip(axes, plan.names, strict=True):
         scene, rows = found[name]
         for axis, method in zip(row, plan.methods, strict=True):
             _panel(axis, name, scene, rows[method], windows[name])
-            axis.set_title(_caption(method, rows[method][1]), fontsize=8.5, color=_INK, pad=4)
+            axis.set_title(_caption(method, rows[method][1]), fontsize=14, color=_INK, loc="left")
     return figure
 
 
@@ -124,7 +129,7 @@ def _tinted(scene: Scene, pixels: Array, points: Array, *, thick: bool) -> npt.N
 
 
 def _caption(method: Method, row: Row) -> str:
-    return f"{LABELS[method]}:  SC {row.sc:.3f}   CH {row.ch:,.0f}   {row.ms:.1f} ms".replace(",", " ")
+    return f"{LABELS[method]}\nSC {row.sc:.3f}, CH {row.ch:_.0f}\n{row.ms:.1f} ms".replace("_", " ")
 
 
 def _window(scene: Scene) -> tuple[int, int, int, int]:
@@ -135,17 +140,23 @@ def _window(scene: Scene) -> tuple[int, int, int, int]:
     return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
 
 
-def _bars(found: Sequence[Row]) -> Any:
+def draw_bars(found: Sequence[Row]) -> Any:
     """Draw the three measures by configuration with intervals, and those of the paper."""
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     shown = [result for result in found if result.configuration in CONFIGURATIONS]
     methods: list[Method] = list(dict.fromkeys(result.method for result in shown))
     names = [name for name in CONFIGURATIONS if any(result.configuration == name for result in shown)]
-    figure = Figure(figsize=(13.5, 3.9), layout="constrained")
-    heads = ("silhouette", "Calinski-Harabasz", "time of a frame [ms]")
-    for axis, measure, head in zip(figure.subplots(1, 3), MEASURES, heads, strict=True):
+    figure = Figure(figsize=(10.2, 9.6), layout="constrained")
+    heads = {
+        "sc": "Silhouette (higher is better)",
+        "ch": "Calinski-Harabasz score (higher is better, logarithmic)",
+        "ms": "Time per frame [ms] (lower is better, logarithmic)",
+    }
+    for axis, measure in zip(figure.subplots(3, 1), MEASURES, strict=True):
         wide = 0.84 / max(len(methods), 1)
         for i, method in enumerate(methods):
             shift = (i - (len(methods) - 1) / 2) * wide
@@ -159,11 +170,19 @@ def _bars(found: Sequence[Row]) -> Any:
                     len(names) + shift, PAPER[method][measure], wide * 0.92, facecolor="white",
                     edgecolor=_COLOURS[method], hatch="////", linewidth=1.2,
                 )  # fmt: skip
-        axis.set_xticks(range(len(names) + 1), [*names, "paper,\nits own data"])
-        axis.set_title(head, fontsize=11, color=_INK)
+        axis.set_xticks(range(len(names) + 1), [*names, "as published, on the paper's data"], fontsize=10)
+        axis.set_title(heads[measure], fontsize=12, color=_INK, loc="left")
         axis.set(axisbelow=True, yscale="linear" if measure == "sc" else "log")
+        if measure != "sc":
+            axis.yaxis.set_major_locator(LogLocator(subs=(1, 3) if measure == "ch" else (1,), numticks=9))
+            axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+            axis.yaxis.set_minor_formatter(NullFormatter())
         axis.spines[["top", "right"]].set_visible(False)
         axis.grid(axis="y", color="#e4e4e0", linewidth=0.8)
-    handles = [Patch(color=_COLOURS[method], label=LABELS[method]) for method in methods]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(methods), frameon=False)
+    handles: list[Any] = [Patch(color=_COLOURS[method], label=LABELS[method]) for method in methods]
+    handles += [
+        Line2D([], [], color=_INK, marker="_", markersize=7, linewidth=0, label="95 % interval"),
+        Patch(facecolor="white", edgecolor="#8a8f98", hatch="////", label="published figure"),
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False, fontsize=10)
     return figure
