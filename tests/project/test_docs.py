@@ -161,6 +161,36 @@ def test_links_within_the_repository_lead_somewhere(page):
         assert (page.parent / target).exists(), f"{page.name}: {target}"
 
 
+def linked(page: Path) -> set[Path]:
+    """Return the pages that a page links to, in its text or its tables of contents."""
+    text = read(page)
+    targets = {target for target in LINK.findall(text) if target.endswith(".md")}
+    for toctree in re.findall(r"^```{toctree}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+        targets |= {f"{line}.md" for line in toctree.split() if not line.startswith(":")}
+    return {path for target in targets if (path := (page.parent / target).resolve()).exists()}
+
+
+def test_every_page_is_at_most_three_clicks_from_the_index():
+    reached = {(ROOT / "docs" / "index.md").resolve()}
+    for _ in range(3):
+        reached |= {page for known in reached for page in linked(known)}
+    assert {page.resolve() for page in PAGES[1:]} <= reached
+
+
+@pytest.mark.parametrize(
+    ("question", "page"),
+    [
+        ("How do I segment without a range of colours?", "how-to/segment-by-clicking.md"),
+        ("How do I use my own camera?", "how-to/use-another-camera.md"),
+        ("What happens when the rope is hidden?", "concepts/validity.md"),
+        ("Which feature do I take?", "how-to/choose-a-feature.md"),
+        ("How do I reproduce the paper's Table I?", "benchmarks/table-1.md"),
+    ],
+)
+def test_the_index_answers_common_questions(question, page):
+    assert re.search(rf"^\| {re.escape(question)} \|.*\({page}\)", read(ROOT / "docs" / "index.md"), re.MULTILINE)
+
+
 def test_the_readme_has_the_two_commands_as_they_are_promised():
     lines = read(ROOT / "README.md").splitlines()
     assert "pip install uv && uv run --no-dev --extra sim shape-obs demo" in lines
