@@ -16,6 +16,7 @@ DOCS = Path(__file__).parent
 
 project = "shape_obs"
 author = "the shape_obs developers"
+copyright = f"2026, {author}"
 version = release = shape_obs.__version__
 
 extensions = ["myst_parser", "sphinx_copybutton", "sphinx_design", "sphinx.ext.autodoc", "sphinx.ext.autosummary"]
