@@ -13,13 +13,15 @@ from shape_obs.ablation.statistics import Interval
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "benchmarks" / "training.md"
+TITLE = "Percentage points lost under"
 
 
 def read_page() -> dict[str, Any]:
-    """The goals that each arm lost under each disturbance."""
-    table = PAGE.read_text(encoding="utf-8").split("| goals lost under ")[1].split("\n\n")[0]
-    head, _, *rows = ([cell.strip() for cell in line.strip("| ").split(" | ")] for line in table.splitlines())
-    names = [name for name in head if name]
+    """Read the goals that each arm lost under each disturbance."""
+    table = re.search(rf"^\| {TITLE} \|.*(?:\n\|.*)*", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    if table is None:
+        raise ValueError(f"{PAGE}: expected a table whose first column is {TITLE!r}.")
+    (_, *names), _, *rows = (line.strip("| ").split(" | ") for line in table[0].splitlines())
     lost = {}
     for arm, *cells in rows:
         values = [Interval(*map(float, re.findall(r"-?[\d.]+", cell))) for cell in cells]

@@ -21,13 +21,12 @@ import matplotlib.pyplot as plt
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullFormatter, NullLocator
-from speed_page import BLOCK, DOCS, PAGES, Document, Row, read_pages
+from speed_page import DOCS, PAGES, TIMES, Document, Row, filled, number, read_pages, table
 
 mpl.use("Agg")
 
 IMAGES = DOCS / "images"
 OURS, THEIRS, INK = "#2d55c8", "#c8cdd6", "#1e1e1e"
-METHODS = ("one pass: sumElems", "classic segmentation, full frame", "shape_obs, warm", "shape_obs, cold")
 PROPORTIONAL = "#8a8f98"
 STAGES = ("#2d55c8", "#8fa8ec", "#3c9650", "#b6d9bd", "#8a56a8", "#c8cdd6")
 STAGE_NAMES = {
@@ -53,14 +52,6 @@ def main(paths: Iterable[str]) -> None:
         figure = picture()
         figure.savefig(IMAGES / f"speed_{name}.png", dpi=DPI, bbox_inches="tight")
         plt.close(figure)
-
-
-def filled(page: str, name: str, block: str) -> str:
-    """Replace the text between the marks of a block."""
-    page, times = re.subn(BLOCK.format(name=name), lambda found: f"{found[1]}\n{block}\n\n{found[2]}", page, flags=re.S)
-    if times != 1:
-        raise ValueError(f"expected one block <!-- {name} --> ... <!-- end -->, got {times}.")
-    return page
 
 
 def blocks(measured: dict[str, Document]) -> dict[str, str]:
@@ -89,24 +80,6 @@ def pictures(measured: dict[str, Document]) -> dict[str, Callable[[], Any]]:
     if "growth" in measured.get("latency", {}):
         found["growth"] = lambda: draw_growth(measured["latency"]["growth"])
     return found
-
-
-def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    """A Markdown table."""
-    titles = list(head)
-    lines = ["| " + " | ".join(line) + " |" for line in (titles, *rows)]
-    return "\n".join([lines[0], "|" + "---|" * len(titles), *lines[1:]])
-
-
-def number(value: float | None) -> str:
-    """Three digits that count."""
-    if value is None:
-        return "–"
-    if 0 < value < 1e-3:
-        return "< 0.001"
-    if value >= 100:
-        return f"{value:,.0f}".replace(",", " ")
-    return f"{value:.3g}"
 
 
 def _machine(document: Document) -> str:
@@ -183,10 +156,10 @@ def _totals(rows: list[Row]) -> str:
         row = found.get((image, method))
         return "–" if row is None else number(row[key])
 
-    head = ("Image", "One pass [ms]", "Classic [ms]", "Warm [ms]", "Cold [ms]")
-    times = [(image, *(time(image, method) for method in METHODS)) for image in images]
-    ours, keys = METHODS[2:], ("passes", "faster_than_classic")
+    times = [(image, *(time(image, method) for method in TIMES.values())) for image in images]
+    ours, keys = list(TIMES.values())[2:], ("passes", "faster_than_classic")
     compared = [(image, *(ratio(image, method, key) for key in keys for method in ours)) for image in images]
+    head = ("Image", *TIMES)
     heads = ("Image", "Warm: passes", "Cold: passes", "Warm: times faster than classic", "Cold: times faster")
     return f"{table(head, times)}\n\n{table(heads, compared)}"
 

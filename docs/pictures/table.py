@@ -3,7 +3,7 @@
 shape-obs bench table --out table
 uv run python docs/pictures/table.py table
 
-Without a folder, the bars are drawn again from the tables that stand on the page.
+Without a folder, the bars are drawn again from the tables of the second page.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import sys
 from pathlib import Path
 
 from shape_obs.bench.table.figures import PICTURES, draw_bars
+from shape_obs.bench.table.frames import CONFIGURATIONS
 from shape_obs.bench.table.summary import LABELS
 from shape_obs.bench.tables import Row
 
@@ -45,20 +46,30 @@ def main(folder: Path) -> None:
 
 
 def read_page() -> list[Row]:
-    """The means of the page's tables and half their 95 % intervals, as the bars need them."""
-    methods = {label: method for method, label in LABELS.items()}
-    page, found = PAGE.read_text(encoding="utf-8"), []
-    for name in ("Centerline", "Contour", "Surface"):
-        lines = page.split(f"### {name}, ")[1].split("###")[0].splitlines()
-        for line in lines:
-            label, *cells = (cell.strip() for cell in line.strip("| ").split(" | "))
-            if label not in methods:
-                continue
-            row = Row(configuration=name.lower(), method=methods[label])
-            for measure, cell, factor in zip(("sc", "ch", "ms"), cells, (1, 1, 1000), strict=False):
-                mean, half = (factor * float(part) for part in cell.split(" ± "))
-                row |= {measure: mean, f"{measure}_half_interval": half}
-            found.append(row)
+    """Read the means of the page's tables and half their 95 % intervals, as the bars need them."""
+    page = PAGES["details"].read_text(encoding="utf-8")
+    return [row for name in CONFIGURATIONS for row in _read_table(page, name)]
+
+
+def _read_table(page: str, name: str) -> list[Row]:
+    """Read the table of a configuration, which stands below its heading."""
+    title = name.capitalize()
+    table = re.search(
+        rf"^## {title}, .*\n\n\|  \| SC \| CH \| time \[s\] \|.*\n.*\n((?:\|.*\n)+)", page, flags=re.MULTILINE
+    )
+    if table is None:
+        raise ValueError(
+            f"{PAGES['details']}: expected the heading '## {title}, ...' and directly below it a table with the "
+            "columns '', 'SC', 'CH', 'time [s]'."
+        )
+    methods, found = {label: method for method, label in LABELS.items()}, []
+    for line in table[1].splitlines():
+        label, *cells = line.strip("| ").split(" | ")
+        row = Row(configuration=name, method=methods[label])
+        for measure, cell, factor in zip(("sc", "ch", "ms"), cells, (1, 1, 1000), strict=False):
+            mean, _, half = cell.partition(" ± ")
+            row |= {measure: factor * float(mean), f"{measure}_half_interval": factor * float(half or "nan")}
+        found.append(row)
     return found
 
 

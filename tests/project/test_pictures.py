@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import runpy
 from importlib import import_module
 from pathlib import Path
 
@@ -62,3 +63,14 @@ def test_what_is_called_a_silent_failure_is_one(cases, page):
         flagged = bool(case.shape.reason) or not case.shape.valid.all()
         assert flagged, name
         assert f"wrong_{name}.jpg" not in silent
+
+
+def test_the_goals_lost_are_read_from_the_page_on_training():
+    from shape_obs.ablation import load_study
+
+    study = load_study(DOCS.parent / "examples" / "ablations" / "cable.yaml")
+    read = runpy.run_path(str(DOCS / "pictures" / "ablation.py"))["read_page"]()
+    assert read.keys() <= study.arms.keys()
+    for arm in read.values():
+        assert arm.lost.keys() == study.evaluation.disturbances.keys()
+        assert all(value.low <= value.value <= value.high for value in arm.lost.values())
