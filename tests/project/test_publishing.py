@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import struct
 import subprocess
 import sys
 from importlib import metadata, util
@@ -127,16 +126,6 @@ def test_the_image_gets_all_files_that_the_build_needs(pyproject):
     admitted = {line[1:] for line in read(".dockerignore").splitlines() if line.startswith("!")}
     assert admitted == copied
     assert all((ROOT / name).exists() for name in copied)
-
-
-def test_the_picture_that_the_image_is_checked_by_has_the_size_of_the_demo():
-    script = ROOT / ".ci" / "docker"
-    if not script.exists():
-        pytest.skip("a source distribution has no .ci")
-    found = re.search(r"\(width, height\) == \((\d+), (\d+)\)", script.read_text(encoding="utf-8"))
-    assert found is not None
-    demo = (ROOT / "docs" / "images" / "demo.png").read_bytes()
-    assert struct.unpack(">II", demo[16:24]) == (int(found[1]), int(found[2]))
 
 
 def test_the_hooks_run_tools_of_the_dev_group(pyproject):
