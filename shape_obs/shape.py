@@ -37,9 +37,10 @@ class Shape:
       found it grows with ``age``; of one that was never found it is at its bound.
     - While ``track_id`` stays the same, point i is the same material point; when it changes, points may be numbered
       from the other end or lie on another object. It is 0 until the shape is found, then 1, and grows by 1 whenever
-      the numbering begins anew: after more than ``max_age`` seconds without the shape, or where the detector finds
-      that the object is another one. A held shape keeps it. ``detector.reset()`` begins again at 0.
-      With ``order="image"`` the numbering is that of the frame, and ``track_id`` only says that the object is the same.
+      the numbering begins again: after more than ``max_age`` seconds without the shape, or where the detector finds
+      that the object is another one. A held shape keeps it. ``detector.reset()`` begins again at 0. There are two
+      exceptions. If the object is partly hidden when it is first seen, its points spread over the rest once that is
+      seen. With ``order="image"`` the numbering is that of the frame, and ``track_id`` identifies the object only.
 
     Args:
         name: The configuration's name.
