@@ -18,7 +18,7 @@ import shape_obs
 DOCS = Path(__file__).parent
 
 # Gymnasium imports it for type checkers only; without it no type in a subclass of Env or Wrapper can be resolved.
-vars(gymnasium.core).setdefault("EnvSpec", EnvSpec)
+gymnasium.core.__dict__["EnvSpec"] = EnvSpec
 
 project = "shape_obs"
 author = "the shape_obs developers"
