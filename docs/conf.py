@@ -1,18 +1,24 @@
 """Configure Sphinx: ``uv run sphinx-build -W docs docs/_build/html``."""
 
+import inspect
 import re
 import tempfile
 import zlib
 from pathlib import Path
 
+import gymnasium.core
 import numpy.typing as npt
 from docutils import nodes
+from gymnasium.envs.registration import EnvSpec
 from sphinx import addnodes
 from sphinx.util.typing import stringify_annotation
 
 import shape_obs
 
 DOCS = Path(__file__).parent
+
+# Gymnasium imports it for type checkers only; without it no type in a subclass of Env or Wrapper can be resolved.
+gymnasium.core.__dict__["EnvSpec"] = EnvSpec
 
 project = "shape_obs"
 author = "the shape_obs developers"
@@ -62,7 +68,7 @@ intersphinx_mapping = {name: inventory(name) for name in ("python", "numpy", "gy
 # What autodoc resolves a type to, and what the source and the reader call it.
 TYPES = {
     re.escape(stringify_annotation(npt.ArrayLike, "smart")): "~numpy.typing.ArrayLike",
-    r"~numpy\.ndarray\[tuple\[~typing\.Any, \.\.\.\], ~numpy\.dtype\[(.+?)\]\]": r"~numpy.typing.NDArray[\1]",
+    r"~numpy\.ndarray\[tuple\[(?:~typing\.)?Any, \.\.\.\], ~numpy\.dtype\[(.+?)\]\]": r"~numpy.typing.NDArray[\1]",
     r"~gymnasium\.core\.(\w+)": r"~gymnasium.\1",
     r"~gymnasium\.spaces\.\w+\.(\w+)": r"~gymnasium.spaces.\1",
     r"~numpy\.random\._generator\.Generator": "~numpy.random.Generator",
@@ -78,6 +84,26 @@ def shorten_signature(app, what, name, obj, options, signature, annotation):
     return signature, annotation
 
 
+def type_attributes(app, what, name, obj, options, lines):
+    """Write the types of an ``Attributes:`` section next to the names, as for properties."""
+    text = "\n".join(lines)
+    for entry in re.findall(r"^\.\. attribute:: .+\n(?:[ ].*\n|\n)*", text + "\n", re.MULTILINE):
+        typed = re.search(r"\n   :type: (.+)\n", entry)
+        if typed:
+            annotation = re.sub(r"(?<![\w.])(?=(?:\w+\.)+\w)", "~", typed[1])
+            rest = entry.replace(typed[0], "\n")
+        else:
+            member = getattr(obj, entry.split()[2], None)
+            getter = getattr(member, "fget", None) or getattr(member, "func", None)  # of a (cached) property
+            if getter is None:
+                continue
+            annotation, rest = stringify_annotation(inspect.signature(getter).return_annotation, "smart"), entry
+        annotation = shorten_signature(app, what, name, obj, options, None, annotation)[1]
+        head, rest = rest.split("\n", 1)
+        text = text.replace(entry.rstrip("\n"), f"{head}\n   :type: {annotation}\n{rest}".rstrip("\n"))
+    lines[:] = text.split("\n")
+
+
 def shorten_properties(app, doctree):
     """Do the same for the types of properties, which have no signature."""
     for annotation in doctree.findall(addnodes.desc_annotation):
@@ -89,4 +115,5 @@ def shorten_properties(app, doctree):
 def setup(app):
     """Connect the functions above."""
     app.connect("autodoc-process-signature", shorten_signature)
+    app.connect("autodoc-process-docstring", type_attributes, priority=900)  # after napoleon
     app.connect("doctree-read", shorten_properties)

@@ -73,6 +73,9 @@ class ShapeDetector:
         (20, 3)
     """
 
+    config: DetectorConfig
+    shapes: tuple[Configuration, ...]
+
     def __init__(
         self,
         shapes: Iterable[ShapeLike] | ShapeLike | None = None,
@@ -82,8 +85,7 @@ class ShapeDetector:
         given = {"shapes": shapes, "segmentation": segmentation}
         options |= {name: value for name, value in given.items() if value is not None}
         self.config = DetectorConfig.from_dict(options)
-        self._filled = self.config.filled()
-        self.shapes = self.config.resolved()
+        self._filled, self.shapes = self.config.filled(), self.config.resolved()
         self._without_rule = [spec.name for spec in self.shapes if spec.segmentation is None]
         functions = [*prepare(spec.segmentation for spec in self.shapes), *SHAPE_FUNCTIONS, *TRACK_FUNCTIONS]
         functions += (function for spec in self.shapes for function in spec.compiled_functions)
@@ -101,8 +103,7 @@ class ShapeDetector:
             Tracker(spec, self.config) if spec.count is None else Slots(spec, self.config) for spec in self._filled
         ]
         self._units.reset()
-        self._hints = MaskHints()
-        self._clock = Clock(self.config.dt)
+        self._hints, self._clock = MaskHints(), Clock(self.config.dt)
         self._roi_memory: Any = None  # what a region of interest that moves remembers
         self._frames = 0
 

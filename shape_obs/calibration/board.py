@@ -116,10 +116,12 @@ class BoardViews:
         taken: The accepted views.
     """
 
+    taken: list[BoardView]
+
     def __init__(self, board: Board, size: tuple[int, int], still: bool = False) -> None:
         self._board, self._still, self._width = board, still, size[1]
         self.size = size
-        self.taken: list[BoardView] = []
+        self.taken = []
         self._last: BoardView | None = None
 
     def offer(self, image: npt.NDArray[np.uint8]) -> str:

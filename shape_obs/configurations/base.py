@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, Final, Literal, NamedTuple
+from typing import Any, ClassVar, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -24,16 +24,16 @@ from shape_obs.tracking.belief import Shares, known_layout
 from shape_obs.tracking.prediction import Fit, Prediction
 
 #: Take the order of the points from the previous frame, or from the image alone.
-Order = Literal["tracked", "image"]
+Order: TypeAlias = Literal["tracked", "image"]
 #: Space points evenly in pixels, or in metres.
-Spacing = Literal["px", "m"]
+Spacing: TypeAlias = Literal["px", "m"]
 #: Fit in the image and add depth, or fit in space.
-Lift = Literal["points", "cloud"]
+Lift: TypeAlias = Literal["points", "cloud"]
 #: Put the first and last point into the middle of their parts of the rope, or on its tips.
-Ends = Literal["centers", "tips"]
+Ends: TypeAlias = Literal["centers", "tips"]
 Place = str | tuple[float, float] | tuple[float, float, float]
 #: Name the place of point 0, or give it as ``(u, v)`` in pixels or ``(x, y, z)`` in metres, also for each slot.
-Anchor = Place | Mapping[str, Place] | None
+Anchor: TypeAlias = Place | Mapping[str, Place] | None
 Count = int | Literal["all"] | None
 Array = npt.NDArray[np.float64]
 Own = tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], int, int, int]

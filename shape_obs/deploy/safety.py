@@ -163,6 +163,8 @@ class DryRobot:
         sent: Number of discarded motions.
     """
 
+    sent: int
+
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
         self.sent = 0

@@ -35,10 +35,13 @@ class Interrupted(KeyboardInterrupt):
         report: Report of the run that was ended; None if there is none.
     """
 
+    signum: int
+    report: Any
+
     def __init__(self, signum: int) -> None:
         super().__init__(f"interrupted by {signal.Signals(signum).name}")
         self.signum = signum
-        self.report: Any = None
+        self.report = None
 
 
 class SignalStop:

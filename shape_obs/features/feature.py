@@ -170,6 +170,11 @@ class FeatureVector:
         ValueError: A feature is not defined for a shape, or its bounds are empty or not finite.
     """
 
+    low: npt.NDArray[np.float32]
+    high: npt.NDArray[np.float32]
+    blocks: tuple[Block, ...]
+    anchored: bool
+
     def __init__(self, features: Sequence[Feature], shapes: Sequence[Configuration], context: FeatureContext) -> None:
         self.features = tuple(features)
         self.anchored = any(feature.anchored for feature in self.features)

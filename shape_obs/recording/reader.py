@@ -21,6 +21,7 @@ from shape_obs.recording.format import (
     read_known,
 )
 from shape_obs.recording.images import restore
+from shape_obs.recording.transition import RobotInfo
 from shape_obs.source import BadRecording
 from shape_obs.utils.documents import parse_json, read_json
 
@@ -48,15 +49,24 @@ class Recording:
         BadRecording: The folder is not a recording, or is damaged; the message names the file.
     """
 
+    path: Path
+    camera: CameraModel | None
+    serial: str | None
+    source: Mapping[str, str]
+    has_depth: bool
+    robot: RobotInfo | None
+    warning: str
+    ended: dict[str, Any]
+
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         content = self._read_camera_file()
         try:
-            self.camera: CameraModel | None = camera_from_dict(content)
+            self.camera = camera_from_dict(content)
             head = read_known(CameraFile, content)
         except (KeyError, ValueError, TypeError) as error:
             raise BadRecording(f"{self.path / CAMERA_FILE}: damaged: {error!r}") from error
-        self.source: Mapping[str, str] = head.source
+        self.source = head.source
         self.has_depth, self.serial, self.robot = head.depth, head.serial, head.robot
         self._lines, self.ended, partial = self._read_lines()
         self.warning = ""

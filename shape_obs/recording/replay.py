@@ -87,12 +87,14 @@ class ShapeLog:
             ``software``, ``algorithm`` (the version of the detector's).
     """
 
+    metadata: dict[str, Any]
+
     def __init__(
         self, detector: ShapeDetector, arguments: Mapping[str, Any] | None = None, source: RGBDSource | None = None
     ) -> None:
         given = detector.config.to_dict() if arguments is None else arguments
         robot = getattr(source, "robot_info", None)
-        self.metadata: dict[str, Any] = {
+        self.metadata = {
             "config": dump_config(given),
             "schema_hash": schema_hash(given),
             "config_hash": config_hash(given),

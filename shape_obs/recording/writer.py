@@ -57,6 +57,10 @@ class RecordingWriter:
         OSError: The folder cannot be made or written to.
     """
 
+    path: Path
+    frames: int
+    actions: int
+
     def __init__(
         self,
         path: str | Path,

@@ -40,9 +40,13 @@ class ServoLaw(ABC):
         learnt: Number of updates of the estimate.
     """
 
+    estimator: JacobianEstimator
+    weights: Array | None
+    learnt: int
+
     def __init__(self, estimator: JacobianEstimator) -> None:
         self.estimator = estimator
-        self.weights: Array | None = None
+        self.weights = None
         self.learnt = 0
 
     def start(self, features: int, actions: int, matrix: npt.ArrayLike | None = None) -> None:

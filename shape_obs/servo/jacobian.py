@@ -21,8 +21,11 @@ class JacobianEstimator(ABC):
         error: Relative prediction error of the last change of features, ``|df - J da| / |df|``; NaN before the first.
     """
 
+    matrix: Array | None
+    error: float
+
     def __init__(self) -> None:
-        self.matrix: Array | None = None
+        self.matrix = None
         self.error = float("nan")
 
     def start(self, features: int, actions: int, matrix: npt.ArrayLike | None = None) -> None:

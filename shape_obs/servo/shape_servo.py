@@ -65,6 +65,9 @@ class ShapeServo:
         >>> env.step(servo.act(observation))  # doctest: +SKIP
     """
 
+    law: ServoLaw
+    held: int
+
     def __init__(
         self,
         law: ServoLaw | str = _LAW,

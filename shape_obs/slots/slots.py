@@ -64,6 +64,9 @@ class Slots:
         more: How many objects were found in the last frame that have no slot.
     """
 
+    trackers: list[Tracker]
+    more: int
+
     def __init__(self, spec: Configuration, config: DetectorConfig) -> None:
         self.spec, self.more = spec, 0
         self.trackers = [Tracker(slot, config) for slot in spec.slots()]

@@ -116,6 +116,8 @@ class Shuffled(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
         ValueError: The environment has no such goals.
     """
 
+    visible: int
+
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         RecordConstructorArgs.__init__(self)
         gym.ObservationWrapper.__init__(self, env)

@@ -29,6 +29,8 @@ class Curriculum(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         >>> env = Curriculum(gym.make("shape_obs_envs:ShapeObs/Cable-v0"), ["near", "far"])  # doctest: +SKIP
     """
 
+    episodes: int
+
     def __init__(
         self, env: gym.Env[Any, Any], difficulties: Sequence[str] = ("near", "middle", "far"), after: int = 0
     ) -> None:

@@ -42,6 +42,8 @@ class PointReward(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             goal; or another argument is invalid.
     """
 
+    visible: int
+
     def __init__(self, env: ShapeGoal, reward_type: RewardType = "sparse", threshold: float = 0.01) -> None:
         if reward_type not in ("dense", "sparse") or not 0 < threshold < np.inf:
             raise ValueError(

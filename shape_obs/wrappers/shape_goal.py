@@ -65,6 +65,10 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         >>> env.reset(options={"goal": points})  # doctest: +SKIP
     """
 
+    unit: str
+    names: tuple[str, ...]
+    targets: tuple[Shape, ...]
+
     def __init__(
         self,
         env: gym.Env[Any, Any],
@@ -81,11 +85,9 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             shape = list(goal)
         self._at = self._find(shape, goal is not None)
         self._specs = [known[at] for at in self._at]
-        self.names: tuple[str, ...] = tuple(spec.name for spec in self._specs)
+        self.names = tuple(spec.name for spec in self._specs)
         self._goal = None if goal is None else _read_targets(goal, self.names)
-        record: Any = self._goal
-        if self._goal is not None and len(self._goal) == 1:
-            (record,) = self._goal.values()
+        (record,) = self._goal.values() if self._goal and len(self._goal) == 1 else (self._goal,)
         given = {"goal": record, "features": features, "shape": shape, "threshold": threshold}
         recorded = {name: to_recorded(value) for name, value in given.items() if value is not None}
         RecordConstructorArgs.__init__(self, **recorded, reward_type=reward_type)
@@ -108,7 +110,7 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._main, box, kept = main_part(env.observation_space, "observation" if self._envs_goals else "shape")
         self._layout = ObservationLayout(env.observation_space, kept, box, self._vector)
         self.observation_space = self._layout.space
-        self.targets: tuple[Shape, ...] = ()
+        self.targets = ()
         self._given: tuple[Shape, ...] | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -146,8 +148,7 @@ class ShapeGoal(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         The dense reward is minus the distance; the sparse reward is 0 below the threshold, else -1. If goals are points
         of one kind, the distance is the mean distance of corresponding points, ``mean_i |a_i - d_i|``, over the points
         of all shapes that have a goal; else it is the root mean square of the differences divided by their range,
-        ``sqrt(mean_j ((a_j - d_j) / (high_j - low_j))^2)``.
-        ``info`` is not used.
+        ``sqrt(mean_j ((a_j - d_j) / (high_j - low_j))^2)``. ``info`` is not used.
 
         Raises:
             ValueError: The goals have another size.

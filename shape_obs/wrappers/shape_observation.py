@@ -14,7 +14,7 @@ from gymnasium.utils import RecordConstructorArgs
 
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.detector import ShapeDetector
-from shape_obs.features import Feature, FeatureContext, FeatureVector, read_features
+from shape_obs.features import Block, Feature, FeatureContext, FeatureVector, read_features
 from shape_obs.features.feature import what_needs_depth
 from shape_obs.shape import Detection, Shape
 from shape_obs.spec import did_you_mean
@@ -66,6 +66,12 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         >>> env = ShapeObservation(env, ["centerline"], HSVRange((90, 60, 30), (130, 255, 255)))  # doctest: +SKIP
     """
 
+    detector: ShapeDetector
+    detection: Detection | None
+    features: tuple[Feature, ...]
+    blocks: tuple[Block, ...]
+    targets: tuple[Shape, ...]
+
     def __init__(
         self,
         env: gym.Env[Any, Any],
@@ -115,8 +121,8 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         self._goal = EnvGoal.find(space, self.features, shapes, context, env_protocol.goal_layout(env))
         self._layout = ObservationLayout(space, own["keep"] or (), self._vector, self._goal and self._goal.vector)
         self.observation_space = self._layout.space
-        self.detection: Detection | None = None
-        self.targets: tuple[Shape, ...] = ()
+        self.detection = None
+        self.targets = ()
         self._time = 0.0
         self._begin(context)
 

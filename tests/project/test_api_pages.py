@@ -7,6 +7,7 @@ import inspect
 import pkgutil
 import re
 from collections.abc import Callable, Iterator
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,19 @@ def own_methods(cls: type) -> Iterator[tuple[str, Callable[..., Any]]]:
             yield name, member.fget
 
 
+def documented_attributes(cls: type) -> list[str]:
+    _, _, section = (inspect.getdoc(cls) or "").partition("\nAttributes:\n")
+    return re.findall(r"^ {4}(\w+): ", re.split(r"^\S", section, maxsplit=1, flags=re.MULTILINE)[0], re.MULTILINE)
+
+
+def has_type(cls: type, name: str) -> bool:
+    if any(name in inspect.get_annotations(base) for base in cls.__mro__ if base.__module__.startswith("shape_obs")):
+        return True
+    member = inspect.getattr_static(cls, name, None)
+    getter = member.func if isinstance(member, cached_property) else getattr(member, "fget", None)
+    return getter is not None and "return" in getter.__annotations__
+
+
 def test_every_public_name_is_listed():
     pytest.importorskip("mujoco")
     pytest.importorskip("torch")
@@ -87,3 +101,13 @@ def test_every_listed_function_has_types(path):
     elif inspect.isfunction(public):
         missing = untyped(public, path)
     assert not missing
+
+
+def test_every_documented_attribute_has_a_type():
+    pytest.importorskip("mujoco")
+    pytest.importorskip("torch")
+    pytest.importorskip("pyarrow")
+    classes = {path: public for path in LISTED if inspect.isclass(public := resolve(path))}
+    documented = [(path, name) for path, public in classes.items() for name in documented_attributes(public)]
+    assert ("shape_obs.ShapeObservation", "detector") in documented
+    assert [f"{path}.{name}" for path, name in documented if not has_type(classes[path], name)] == []

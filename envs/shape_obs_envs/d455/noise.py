@@ -138,6 +138,9 @@ class D455Noise(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
         >>> env = D455Noise(env, {"speckle_share": 0, "exposure": 0.2}, fast=False)  # doctest: +SKIP
     """
 
+    light: Light
+    measurement: Measurement | None
+
     def __init__(
         self,
         env: gym.Env[Any, Any],
@@ -162,7 +165,7 @@ class D455Noise(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
         self._depth_space = None if depth is None else _clipping_space(depth, most)
         self.fast = bool(fast)
         self.light = Light()
-        self.measurement: Measurement | None = None
+        self.measurement = None
         self._camera: D455Camera | None = None
         self._rng = np.random.default_rng()
 

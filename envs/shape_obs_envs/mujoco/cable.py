@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -14,7 +14,7 @@ from shape_obs_envs.arguments import count, one_of
 from shape_obs_envs.mujoco.bodies import GRIPPERS
 from shape_obs_envs.mujoco.bodies.chain import Chain, ChainSpec, Rope, chain_bodies, chain_equality, chain_skin
 from shape_obs_envs.mujoco.goal_env import SUBSTEPS, ShapeGoalEnv
-from shape_obs_envs.mujoco.goals import measured_space
+from shape_obs_envs.mujoco.goals import Corner, measured_space
 from shape_obs_envs.mujoco.workspace import BoxWorkspace, TwoGripperWorkspace
 
 Array = NDArray[np.float64]
@@ -111,8 +111,8 @@ class CableEnv(RopeEnv):
         ValueError: An argument is out of its range.
     """
 
-    STEP = np.array([0.015, 0.015, 0.12])  # x, y in metres and yaw in radians
-    REACH = ((-0.285, -0.27, 0.0), (0.285, 0.32, 0.02))
+    STEP: Array = np.array([0.015, 0.015, 0.12])  # x, y in metres and yaw in radians
+    REACH: ClassVar[tuple[Corner, Corner]] = ((-0.285, -0.27, 0.0), (0.285, 0.32, 0.02))
 
     def __init__(self, grippers: int = 2, **options: Any) -> None:
         EzPickle.__init__(self, grippers, **options)

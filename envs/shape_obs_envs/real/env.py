@@ -92,6 +92,18 @@ class D455Env(gym.Env[Any, Any]):
         slack: Time in seconds that the last step waited for its deadline; negative if it was late.
     """
 
+    robot: Robot | None
+    settle: float | None
+    max_age: float
+    interlock: Interlock | None
+    source: RGBDSource
+    frame: Frame | None
+    guarded: Guarded | None
+    withheld: str
+    sent_at: float
+    on_sent: Callable[[], object]
+    seen_at: float
+    slack: float
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 30}  # noqa: RUF012
 
     def __init__(
@@ -118,7 +130,7 @@ class D455Env(gym.Env[Any, Any]):
             raise ValueError(f"settle: expected seconds from 0 to below 10, or None, got {settle!r}.")
         self.settle, self.max_age = settle, positive("max_age", max_age, "0.2", "seconds")
         width, height = (count("size", side, 16, 4096) for side in size)
-        self.robot: Robot | None = make_named(robot, "robot", robot_arguments) if isinstance(robot, str) else robot
+        self.robot = make_named(robot, "robot", robot_arguments) if isinstance(robot, str) else robot
         self.source = open_frame_source(source, self.robot, (width, height), extrinsics)
         patience, has_depth = positive("timeout", timeout, "1.0", "seconds"), delivers_depth(self.source, depth)
         self._reader = FrameReader(self.source, (width, height), patience, has_depth)
@@ -128,7 +140,7 @@ class D455Env(gym.Env[Any, Any]):
         self.action_space = gym.spaces.Discrete(1)
         self.guard: Guard | None = None
         self._reach: gym.spaces.Box | None = None
-        self.interlock: Interlock | None = None
+        self.interlock = None
         if self.robot is not None:
             check_robot(self.robot)
             self.interlock, spec = Interlock(self.robot), self.robot.action_spec
@@ -141,10 +153,8 @@ class D455Env(gym.Env[Any, Any]):
         self.observation_space = gym.spaces.Dict(observed)
         self.sent_at = self.seen_at = time.monotonic()
         self.slack, self.withheld = 0.0, ""
-        self.on_sent: Callable[[], object] = lambda: None
-        self.guarded: Guarded | None = None
-        self.frame: Frame | None = None
-        self._clock = (0.0, time.monotonic())  # stamp of the newest frame, and when it was read
+        self.on_sent = lambda: None
+        self.guarded = self.frame = None
         self._exposed = -math.inf
 
     # ---- gymnasium
@@ -271,19 +281,7 @@ class D455Env(gym.Env[Any, Any]):
         return images
 
     def _info(self, *, overrun: bool) -> dict[str, Any]:
-        now, frame = time.monotonic(), self.frame
-        stamp, taken = self._clock
-        if frame is None or frame.stamp is None:
-            stamp += now - taken
-        else:
-            stamp = frame.stamp
-        self._clock = stamp, now
-        info: dict[str, Any] = {"stamp": stamp, "overrun": overrun}
-        if frame is not None:
-            received = now if frame.received is None else frame.received
-            info |= {"lag": self._reader.lag(frame), "received": received, "exposed": self._exposed}
-        if frame is not None and frame.number is not None:
-            info["frame"] = frame.number
+        info = {"overrun": overrun, **self._reader.info(self.frame, self._exposed)}
         if self.guarded is not None:
             _, clipped, capped, boxed = self.guarded
             info |= {"guard/clipped": clipped, "guard/capped": capped, "guard/boxed": boxed}

@@ -82,6 +82,7 @@ class FrameReader:
     def __init__(self, source: RGBDSource, size: tuple[int, int], timeout: float, depth: bool = True) -> None:
         self.source, self._size, self._timeout, self._depth = source, size, timeout, depth
         self._transport: deque[float] = deque(maxlen=_WINDOW)
+        self._clock = (0.0, time.monotonic())  # stamp of the newest frame, and when it was read
 
     def exposed(self, frame: Frame, now: float) -> float:
         """Return the earliest time at which the exposure of a frame may have begun, ``time.monotonic()`` in seconds.
@@ -181,6 +182,20 @@ class FrameReader:
         if frame is None or frame.depth is None:
             return {"rgb": rgb, "depth": np.zeros((height, width), np.uint16)}
         return {"rgb": rgb, "depth": _millimetres(frame.depth)}
+
+    def info(self, frame: Frame | None, exposed: float) -> dict[str, Any]:
+        """Return the entries of ``info`` that describe a frame; the stamp advances with the time if it has none."""
+        now = time.monotonic()
+        stamp, taken = self._clock
+        stamp = stamp + now - taken if frame is None or frame.stamp is None else frame.stamp
+        self._clock = stamp, now
+        info: dict[str, Any] = {"stamp": stamp}
+        if frame is not None:
+            received = now if frame.received is None else frame.received
+            info |= {"lag": self.lag(frame), "received": received, "exposed": exposed}
+        if frame is not None and frame.number is not None:
+            info["frame"] = frame.number
+        return info
 
     def _checked(self, frame: Frame) -> Frame:
         width, height = self._size

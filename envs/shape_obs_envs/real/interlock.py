@@ -29,6 +29,9 @@ class Interlock:
         expired: Number of motions that ended because they were not replaced in time.
     """
 
+    tripped: str
+    expired: int
+
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
         self.tripped, self.expired = "", 0

@@ -42,6 +42,8 @@ class NullRobot:
         [0.01, 0.0]
     """
 
+    action_spec: ActionSpec
+    sent: deque[tuple[float, Array]]
     name = "null"
 
     def __init__(
@@ -57,8 +59,8 @@ class NullRobot:
                 low=(-0.5,) * size,
                 high=(0.5,) * size,
             )
-        self.action_spec: ActionSpec = spec if isinstance(spec, ActionSpec) else ActionSpec.from_dict(spec)
-        self.sent: deque[tuple[float, Array]] = deque(maxlen=_STORED)
+        self.action_spec = spec if isinstance(spec, ActionSpec) else ActionSpec.from_dict(spec)
+        self.sent = deque(maxlen=_STORED)
         self._period, self._connected = period, False
         self._position = self._middle()
 

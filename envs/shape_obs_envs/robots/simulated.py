@@ -67,6 +67,8 @@ class SimulatedRobot:
         >>> env = gym.make("ShapeObs/D455-v0", source="robot", robot=robot)  # doctest: +SKIP
     """
 
+    action_spec: ActionSpec
+    camera: SoftwareD455
     name = "simulated"
 
     def __init__(
@@ -88,7 +90,7 @@ class SimulatedRobot:
         self._model = RealtimeSimulation(env, **options)  # for its metadata and goals only; it does not run
         self.camera = SoftwareD455(fps=round(fps)) if camera is None else camera
         self._spec = SimulationSpec(env, self.camera.geometry, float(fps), seed, bool(noise), options)
-        self.action_spec: ActionSpec = self._model.env.action_spec
+        self.action_spec = self._model.env.action_spec
         self._lock = threading.RLock()
         self._process: SimulationProcess | None = None
         self._home = np.zeros((len(self.action_spec) // 3, 3))

@@ -55,6 +55,8 @@ class EnvSource(SequenceSource):
         ...     frame = source.read()
     """
 
+    transition: Transition | None
+    state: tuple[float, ...] | None
     kind: str = "env"
 
     def __init__(
@@ -77,8 +79,8 @@ class EnvSource(SequenceSource):
         self._actions, self._seed = actions, seed
         self._env: gym.Env[Any, Any] | None = None
         self._episode = 0
-        self.transition: Transition | None = None
-        self.state: tuple[float, ...] | None = None
+        self.transition = None
+        self.state = None
 
     @property
     def has_depth(self) -> bool:

@@ -47,6 +47,8 @@ class LiveSource(Source):
         ValueError: An argument is not above 0.
     """
 
+    lens: Intrinsics | None
+    latency: float
     live: bool = True
     has_depth: bool = True
 
@@ -63,7 +65,7 @@ class LiveSource(Source):
             if not value > 0:
                 raise ValueError(f"{argument}: expected more than 0, got {value!r}.")
         self.name, self.kind = name, name.partition(":")[0]
-        self.lens: Intrinsics | None = None
+        self.lens = None
         self.latency = 0.1
         self._model: CameraModel | None = None
         self._buffer, self._patience = buffer, patience

@@ -50,6 +50,8 @@ class Registration:
         (620, False)
     """
 
+    output: Intrinsics
+
     def __init__(
         self,
         colour: Intrinsics,

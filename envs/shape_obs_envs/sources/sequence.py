@@ -114,6 +114,10 @@ class FolderSource(SequenceSource):
         UserWarning: By ``connect``: the recording was interrupted; the warning lists what is left out.
     """
 
+    anchors: Mapping[str, Sequence[float]]
+    episode: int
+    transition: Transition | None
+    state: tuple[float, ...] | None
     kind: str = "folder"
 
     def __init__(
@@ -130,10 +134,10 @@ class FolderSource(SequenceSource):
         self._part = frames
         self._frames: Recording | Sequence[Path] = ()
         self._left = range(0)
-        self.anchors: Mapping[str, Sequence[float]] = {}
+        self.anchors = {}
         self.episode = 0
-        self.transition: Transition | None = None
-        self.state: tuple[float, ...] | None = None
+        self.transition = None
+        self.state = None
 
     def __len__(self) -> int:
         """Return the total number of frames to read; 0 before ``connect``."""

@@ -46,6 +46,12 @@ class Bundle:
         trusted: As given.
     """
 
+    record: Record
+    spec: EnvSpec
+    policy: BasePolicy
+    statistics: Statistics | None
+    trusted: bool
+
     def __init__(
         self, record: Record, spec: EnvSpec, policy: BasePolicy, statistics: Statistics | None, *, trusted: bool = False
     ) -> None:
@@ -259,9 +265,12 @@ class PolicyController:
         action_spec: Meaning of its actions; ``shape_obs.deploy.deploy`` compares it with the robot's.
     """
 
+    same_rate: bool
+    action_spec: ActionSpec | None
+
     def __init__(self, bundle: Bundle, *, same_rate: bool = True) -> None:
         self._bundle, self.same_rate = bundle, same_rate
-        self.action_spec: ActionSpec | None = bundle.action_spec
+        self.action_spec = bundle.action_spec
 
     def attach(self, env: Any) -> None:
         """Compare the environment with that of the training.

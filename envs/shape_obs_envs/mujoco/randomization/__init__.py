@@ -112,9 +112,12 @@ class Randomizer:
         drawn: The last values by factor; plain values.
     """
 
+    spec: Randomization
+    drawn: dict[str, Any]
+
     def __init__(self, argument: bool | Mapping[str, Any]) -> None:
         self.spec = Randomization.of(argument)
-        self.drawn: dict[str, Any] = {}
+        self.drawn = {}
         self._scene: Scene | None = None
         self._streams: dict[str, np.random.Generator] = {}
         self._visit: HandVisit | None = None

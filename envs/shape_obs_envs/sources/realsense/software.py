@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import Intrinsics
-from shape_obs_envs.sources.realsense.driver import d455_geometry, librealsense
+from shape_obs_envs.sources.realsense.driver import Geometry, d455_geometry, librealsense
 from shape_obs_envs.sources.registration import RawImages
 
 #: Smoothing factor of the reported frame rate; stamps that are seconds apart are pauses.
@@ -91,6 +91,9 @@ class SoftwareD455:
         ValueError: ``camera`` has distortion.
         ImportError: librealsense is not installed.
     """
+
+    geometry: Geometry
+    device: Any
 
     def __init__(
         self,

@@ -83,6 +83,9 @@ class RealSenseSource(Source):
         ...     frame = source.read()
     """
 
+    options: CameraOptions
+    timings: dict[str, float]
+
     def __init__(
         self,
         device: SoftwareD455 | Sequence[SoftwareD455] | None = None,
@@ -120,7 +123,7 @@ class RealSenseSource(Source):
         self._device = _device(device, serial, recording, model.lower())
         self._record_to = None if record_to is None else Path(record_to)
         self._buffer, self._patience, self._recover_timeout = buffer, patience, recover_timeout
-        self.timings: dict[str, float] = {}
+        self.timings = {}
         self._stream: FrameStream | None = None
         self._lock = threading.Lock()  # guards registration and the last frame: several threads may read
         self._runs = 0
