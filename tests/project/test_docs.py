@@ -2,7 +2,8 @@
 
 A ``python`` block is executed, the output of a ``pycon`` block is compared with the text, a ``yaml`` block is written
 to ``shape.yaml``, and the ``shape-obs`` commands of a ``console`` block are run in a folder with a photo, a config file
-and recordings. ``<!-- not run: REASON -->`` on the line before a block leaves it out. ``test_recipes.py`` runs the ``py`` blocks.
+and recordings. ``<!-- not run: REASON -->`` on the line before a block leaves it out. ``test_recipes.py``
+runs the ``py`` blocks.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ from shape_obs.cli.calibrate import CALIBRATIONS
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-BLOCK = re.compile(r"^(<!-- not run: ([^\n]+) -->\n)?```(python|pycon|yaml|console)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+REASON = r"(<!-- not run: ([^\n]+) -->\n)?"
+BLOCK = re.compile(rf"^{REASON}```(python|pycon|yaml|console)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)")
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 BLUE = HSVRange((100, 120, 40), (125, 255, 255))
