@@ -17,10 +17,11 @@ from typing import Any
 import cv2
 import gymnasium as gym
 import numpy as np
+from sheet import grid
 from stages import IMAGES
 
 from shape_obs import HSVRange, ShapeDetector, ShapeGoal, ShapeObservation
-from shape_obs.drawing import draw_curve, draw_detection
+from shape_obs.drawing import GOAL, draw_curve, draw_detection
 from shape_obs.servo import ShapeServo
 from shape_obs.training import Pixels
 from shape_obs_envs.d455 import D455Noise
@@ -28,7 +29,7 @@ from shape_obs_envs.d455 import D455Noise
 sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))  # some have the name of a script here
 
 SIZE = (400, 250)
-GOAL, PAPER = (235, 130, 40), 255
+PAPER = 255
 CABLE = "shape_obs_envs:ShapeObs/Cable-v0"
 
 
@@ -97,7 +98,7 @@ def two_cameras() -> np.ndarray:
     views = [
         draw_detection(view, ShapeDetector(Centerline(n=20), rule).detect(view))[:, 120:520] for view in drawn_views(0)
     ]
-    return beside(views)
+    return grid(views, columns=2)
 
 
 def own_clusterer() -> np.ndarray:
@@ -206,16 +207,6 @@ def small() -> np.ndarray:
     return drawn(env, observation, scale=8)[60:480]
 
 
-def beside(panels: list[np.ndarray]) -> np.ndarray:
-    """Return pictures next to each other, with a white line between them."""
-    line = np.full((panels[0].shape[0], 8, 3), PAPER, np.uint8)
-    return np.hstack([piece for panel in panels for piece in (panel, line)][:-1])
-
-
-def four(panels: list[np.ndarray]) -> np.ndarray:
-    return np.vstack([np.hstack(panels[:2]), np.hstack(panels[2:])])
-
-
 PICTURES: dict[str, Callable[[], np.ndarray]] = {
     "first_vector": partial(part, "first_vector.jpg", 0, 0, 1, 0.84),
     "wrap_your_env": partial(part, "wrap_your_env.jpg"),
@@ -230,7 +221,7 @@ PICTURES: dict[str, Callable[[], np.ndarray]] = {
     "own_feature": own_feature,
     "own_clusterer": own_clusterer,
     "features_offline": partial(part, "features.jpg", 0.33, 0, 0.66, 1),
-    "lerobot_dataset": lambda: beside([panel[:425, 150:490] for panel in demonstration((0, 20))]),
+    "lerobot_dataset": lambda: grid([panel[:425, 150:490] for panel in demonstration((0, 20))], columns=2),
     "log_rerun": partial(part, "rerun.jpg"),
     "shape_goal": lambda: demonstration((10,))[0][:400],
     "shape_servo": shape_servo,
@@ -239,7 +230,7 @@ PICTURES: dict[str, Callable[[], np.ndarray]] = {
     "deploy_policy": partial(part, "deployed.jpg", 0.345, 0.06, 0.66, 1),
     "train_sac_her": partial(part, "train.jpg", 1 / 3, 0, 2 / 3, 1),
     "train_sac": lambda: starts((5, 6))[1],
-    "train_ppo": lambda: four(starts((5, 6, 7, 8))),
+    "train_ppo": lambda: grid(starts((5, 6, 7, 8)), columns=2, gap=0),
     "train_cnn": pixels,
     "study_cable": partial(plot, "ablate_curves.png", 0, 1),
     "study_curves": partial(plot, "train_curves.png", 0),

@@ -131,7 +131,8 @@ def grid(panels: Sequence[Picture], columns: int, gap: int = 8) -> Picture:
         row = [np.pad(panel, ((0, gap), (0, gap), (0, 0)), constant_values=255) for panel in panels[first:][:columns]]
         row += [np.full_like(row[0], 255)] * (columns - len(row))
         rows.append(np.concatenate(row, axis=1))
-    return np.concatenate(rows)[:-gap, :-gap]
+    picture = np.concatenate(rows)
+    return picture[: len(picture) - gap, : picture.shape[1] - gap]
 
 
 def save(path: Path, picture: Picture, most: int = 300_000) -> None:

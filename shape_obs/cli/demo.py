@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -43,7 +43,7 @@ class Arguments:
 
 
 @dataclass(frozen=True)
-class Moment:
+class Shown:
     """What is drawn of one frame: the image, the shape, and the goal as ``(N, 2)`` pixels."""
 
     picture: Image
@@ -55,7 +55,7 @@ class Moment:
 class Record:
     """Frames and measurements of an episode."""
 
-    moments: list[Moment]
+    shown: list[Shown]
     vectors: list[npt.NDArray[np.float32]]
     errors_mm: list[float]
     errors_px: list[float]
@@ -81,10 +81,10 @@ def main(argv: Sequence[str]) -> int:
 
         with open_rerun(args.rerun, out / "demo", "shape-obs demo") as stream:
             record = run_episode(args, RerunLog(stream.recording))
-    large = draw_frames(record.moments, record.goal_distances_mm, size=2.0)
+    large = draw_frames(record, [0, len(record.shown) - 1], size=2.0)
     gap = np.full((len(large[0]), 8, 3), 255, np.uint8)
     write_image(out / "demo.png", np.concatenate([large[0], gap, large[-1]], axis=1))
-    frames = draw_frames(record.moments, record.goal_distances_mm, size=1.5)
+    frames = draw_frames(record, range(len(record.shown)), size=1.5)
     write_gif(out / "demo.gif", frames + frames[-1:] * _PAUSE, 0.05)
     print(summary(record))
     print(f"pictures        {out / 'demo.png'}, {out / 'demo.gif'}")
@@ -173,41 +173,42 @@ def _remember(
             features=env.named_features(observation["observation"]),
             goals=[goal_pixels],
         )
-    record.moments.append(Moment(picture, detection, goal_pixels))
+    record.shown.append(Shown(picture, detection, goal_pixels))
 
 
-def draw_frames(moments: Sequence[Moment], distances_mm: Sequence[float], size: float) -> list[Image]:
-    """Draw every frame, cropped to where the cable and the goal ever are, under its distance and a legend.
+def draw_frames(record: Record, steps: Iterable[int], size: float) -> list[Image]:
+    """Draw frames, cropped to where the cable and the goal are in any frame, under their distance and a legend.
 
     Args:
-        moments: The frames.
-        distances_mm: The distance of each from the goal.
+        record: The episode.
+        steps: The numbers of the frames to draw, from 0.
         size: Enlarges points, lines and text.
     """
     import numpy as np
 
     from shape_obs.drawing import GOAL, draw_detection
 
-    left, top, right, bottom = _window(moments)
+    left, top, right, bottom = _window(record.shown)
     scale = max(1, round(_WIDTH / (right - left)))
-    hidden = any(not moment.detection.shapes[0].valid.all() for moment in moments)
+    hidden = any(not shown.detection.shapes[0].valid.all() for shown in record.shown)
     frames = []
-    for step, (moment, away) in enumerate(zip(moments, distances_mm, strict=True), start=1):
-        under = [(moment.goal, GOAL)]
-        canvas = draw_detection(moment.picture, moment.detection, scale=scale, size=size, under=under)
+    for step in steps:
+        shown = record.shown[step]
+        under = [(shown.goal, GOAL)]
+        canvas = draw_detection(shown.picture, shown.detection, scale=scale, size=size, under=under)
         canvas = canvas[top * scale : bottom * scale, left * scale : right * scale]
-        title = f"Step {step}: {away:.1f} mm from the goal"
+        title = f"Step {step + 1}: {record.goal_distances_mm[step]:.1f} mm from the goal"
         frames.append(np.concatenate([_heading(title, canvas.shape[1], size, hidden=hidden), canvas]))
     return frames
 
 
-def _window(moments: Sequence[Moment]) -> tuple[int, int, int, int]:
+def _window(frames: Sequence[Shown]) -> tuple[int, int, int, int]:
     """Return left, top, right and bottom of what is shown of the pictures."""
     import numpy as np
 
-    places = [points for each in moments for points in (each.goal, each.detection.shapes[0].pixels)]
+    places = [points for each in frames for points in (each.goal, each.detection.shapes[0].pixels)]
     points = np.concatenate(places)
-    height, width = moments[0].picture.shape[:2]
+    height, width = frames[0].picture.shape[:2]
     margin = _MARGIN * width // 640
     low, high = np.nanmin(points, axis=0) - margin, np.nanmax(points, axis=0) + margin
     left, top = (max(int(edge), 0) for edge in low)

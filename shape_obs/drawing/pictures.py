@@ -59,7 +59,7 @@ def draw_detection(
         one configuration have lines of their own colours, their names at point 0, and a number at every fifth point.
         Where ropes cross, the upper one is drawn over the lower one, which has a gap; a broken ring marks a crossing of
         which the upper strand is unknown. Text says why a shape was not found, how many objects have no slot, that a
-        numbering begins anew, and what is wrong with the stamp.
+        numbering begins again, and what is wrong with the stamp.
     """
     picture = rgb.repeat(scale, axis=0).repeat(scale, axis=1)
     for curve, colour in under:
@@ -82,7 +82,7 @@ def draw_detection(
         if shape.reason:
             lines.append(f"{shape.name}: {shape.reason}")
         elif shape.new and shape.track_id > 1:
-            lines.append(f"{shape.name}: the numbering begins anew, track {shape.track_id}")
+            lines.append(f"{shape.name}: the numbering begins again, track {shape.track_id}")
     rows = [row for line in lines for row in wrapped(line, picture.shape[1] - 16, size)]
     for k, row in enumerate(rows):
         draw_text(picture, row, (8, round((20 + 18 * k) * size)), HIDDEN, size=size)

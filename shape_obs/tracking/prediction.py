@@ -45,7 +45,7 @@ class Fit(NamedTuple):
         follow: Whether the track goes on with a form that was refused: it may still show where the object is.
         centres: ``(N, D)`` the shape's points in order if a clusterer found them; None if the form gives them.
         length: Of the object, metres, hidden pieces included; None if it is not known.
-        new: Whether the numbering begins anew, though there was a track: the object is another one.
+        new: Whether the numbering begins again, though there was a track: the object is another one.
         track_id: The number of the track that the form belongs to.
         relief: ``(K,)`` depth at the nodes of a chain in an image, see ``FittedCurve.relief``; None without depth.
         laid: The track's nodes on the form, and the shape's points as ``seen_points`` returns them, if they are laid.
