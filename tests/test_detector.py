@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import CameraModel, Centerline, GrayRange, HSVRange, ShapeDetector
-from shape_obs.bench.synthetic.ropes import KINDS, draw_rope, random_rope, resample
+from tests.benchmarks.scenes.ropes import KINDS, draw_rope, random_rope, resample
 
 BLUE = HSVRange((100, 100, 60), (125, 255, 255))
 

@@ -10,9 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
-from shape_obs.bench.synthetic.blobs import random_blob
-from shape_obs.bench.synthetic.ropes import random_rope
-from shape_obs.bench.synthetic.sheets import draw_sheet, random_sheet
 from shape_obs.geometry.topology import Chain, Grid, Ring
 from shape_obs.metrics import (
     calinski_harabasz,
@@ -23,6 +20,9 @@ from shape_obs.metrics import (
     silhouette,
     spacing_cv,
 )
+from tests.benchmarks.scenes.blobs import random_blob
+from tests.benchmarks.scenes.ropes import random_rope
+from tests.benchmarks.scenes.sheets import draw_sheet, random_sheet
 
 
 def mask_pixels(mask: np.ndarray) -> np.ndarray:

@@ -9,12 +9,12 @@ import numpy as np
 from sheet import grid, titled
 
 from shape_obs import HSVRange, Markers, Polygon, ShapeDetector, TopView
-from shape_obs.bench.synthetic.tabletop import LAYOUT, MarkerScene, marker_scene
 from shape_obs.calibration import Board
 from shape_obs.cli.markers import describe_board
 from shape_obs.drawing import draw_curve, draw_detection, draw_text
 from shape_obs.markers import find_markers
 from shape_obs.markers.sheet import PER_MM, board_page, marker_pages
+from tests.benchmarks.scenes.tabletop import LAYOUT, MarkerScene, marker_scene
 
 IMAGES = Path(__file__).parent.parent / "images"
 SCENE = 22

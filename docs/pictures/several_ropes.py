@@ -7,10 +7,10 @@ import numpy as np
 from stages import INK, PAPER, write
 
 from shape_obs import Centerline, Detection, ShapeDetector
-from shape_obs.bench.several_rope_claims import detect_scene
-from shape_obs.bench.synthetic.moving_ropes import moving_ropes
-from shape_obs.bench.synthetic.several_ropes import several_ropes
 from shape_obs.drawing import draw_curve, draw_detection, draw_text, slot_colours
+from tests.benchmarks.scenes.moving_ropes import moving_ropes
+from tests.benchmarks.scenes.several_ropes import several_ropes
+from tests.benchmarks.several_rope_claims import detect_scene
 
 N = 20
 FEW = 10  # points of the tracked ropes

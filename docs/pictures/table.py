@@ -13,10 +13,10 @@ import shutil
 import sys
 from pathlib import Path
 
-from shape_obs.bench.table.figures import PICTURES, draw_bars
-from shape_obs.bench.table.frames import CONFIGURATIONS
-from shape_obs.bench.table.summary import LABELS
-from shape_obs.bench.tables import Row
+from tests.benchmarks.table.figures import PICTURES, draw_bars
+from tests.benchmarks.table.frames import CONFIGURATIONS
+from tests.benchmarks.table.summary import LABELS
+from tests.benchmarks.tables import Row
 
 DOCS = Path(__file__).parent.parent
 PAGES = {

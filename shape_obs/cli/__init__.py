@@ -30,9 +30,8 @@ COMMANDS: Final = {
     "deploy": "run a policy or a controller on a robot with a camera",
     "markers": "draw markers or a calibration board to print",
     "calibrate": "measure a camera's intrinsics, and its pose in the base frame",
-    "bench": "measure accuracy, speed and quality",
 }
-_GROUPS: Final = ("calibrate", "bench")  # commands with subcommands
+_GROUPS: Final = ("calibrate",)  # commands with subcommands
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -76,7 +75,7 @@ def run_part(command: str, noun: str, parts: Mapping[str, str], argv: Sequence[s
     """Run the subcommand that ``argv`` starts with, or list all of them; return the exit code.
 
     Args:
-        command: The command, such as ``"bench"``; its subcommands are modules of ``shape_obs.cli.bench``.
+        command: The command, such as ``"bench"``; its subcommands are modules of ``tests.benchmarks.cli``.
         noun: What error messages call a subcommand.
         parts: Each subcommand and what it does.
         argv: The subcommand and its arguments.

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from shape_obs.bench import belief_claims
-from shape_obs.bench.belief_claims import PICTURE, draw, reliability, targets
-from shape_obs.bench.motion_claims import hidden_rope_tracks, swinging_rope_tracks
-from shape_obs.bench.tables import Row
+from tests.benchmarks import belief_claims
+from tests.benchmarks.belief_claims import PICTURE, draw, reliability, targets
+from tests.benchmarks.motion_claims import hidden_rope_tracks, swinging_rope_tracks
+from tests.benchmarks.tables import Row
 
 
 def drawn(times: float, *, space: bool = True, wrong: float = 0.0, frames: int = 300) -> list[Row]:

@@ -11,13 +11,13 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from shape_obs.bench import ENVS, claims, env_claims, env_physics
-from shape_obs.bench.env_claims import Setting, claim_table, episodes, physics_table
-from shape_obs.bench.env_physics import held_actions, is_finite, make_env, strain, warnings
-from shape_obs.bench.scores import simulator_score
-from shape_obs.bench.tables import Row
 from shape_obs.cli import main
 from shape_obs.geometry.topology import Chain, Grid, Ring
+from tests.benchmarks import ENVS, claims, env_claims, env_physics
+from tests.benchmarks.env_claims import Setting, claim_table, episodes, physics_table
+from tests.benchmarks.env_physics import held_actions, is_finite, make_env, strain, warnings
+from tests.benchmarks.scores import simulator_score
+from tests.benchmarks.tables import Row
 
 
 class Line:

@@ -10,12 +10,12 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from shape_obs.bench import interleaved_timing
-from shape_obs.bench.env_physics import EPISODE
-from shape_obs.bench.env_speed import Runner, Stopwatch, rate, speed_targets
-from shape_obs.bench.interleaved_timing import Turn, opengl
-from shape_obs.bench.tables import Row
 from shape_obs.cli import main
+from tests.benchmarks import interleaved_timing
+from tests.benchmarks.env_physics import EPISODE
+from tests.benchmarks.env_speed import Runner, Stopwatch, rate, speed_targets
+from tests.benchmarks.interleaved_timing import Turn, opengl
+from tests.benchmarks.tables import Row
 
 GL, NO_GL = opengl()
 

@@ -5,8 +5,9 @@ import math
 
 import pytest
 
-from shape_obs.bench.interleaved_timing import Timing
-from shape_obs.bench.latency import (
+from shape_obs.cli import main
+from tests.benchmarks.interleaved_timing import Timing
+from tests.benchmarks.latency import (
     AREAS,
     CLASSIC,
     CLOTH,
@@ -20,7 +21,6 @@ from shape_obs.bench.latency import (
     memory_growth,
     resident,
 )
-from shape_obs.cli import main
 
 
 def run(capsys, *arguments):

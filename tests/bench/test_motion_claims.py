@@ -6,9 +6,9 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from shape_obs.bench.motion_claims import hidden_rope_tracks, motion_table, swinging_rope_tracks, track
-from shape_obs.bench.synthetic.hidden_ropes import camera_of, hidden_ropes, see
-from shape_obs.bench.tables import Row
+from tests.benchmarks.motion_claims import hidden_rope_tracks, motion_table, swinging_rope_tracks, track
+from tests.benchmarks.scenes.hidden_ropes import camera_of, hidden_ropes, see
+from tests.benchmarks.tables import Row
 
 RADIUS = 0.006
 

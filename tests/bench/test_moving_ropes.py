@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from shape_obs.bench.synthetic.moving_ropes import moving_ropes
-from shape_obs.bench.synthetic.rope_clearance import intersections
-from shape_obs.bench.synthetic.rope_motions import MOTIONS
+from tests.benchmarks.scenes.moving_ropes import moving_ropes
+from tests.benchmarks.scenes.rope_clearance import intersections
+from tests.benchmarks.scenes.rope_motions import MOTIONS
 
 FASTEST = 15.0
 

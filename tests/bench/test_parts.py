@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from shape_obs.bench.tables import Parts
+from tests.benchmarks.tables import Parts
 
 ROWS = [{"n": np.int64(3), "ms": math.nan, "ok": np.bool_(True)}, {"n": 4, "ms": None, "ok": False}]
 

@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
-from shape_obs.bench.interleaved_timing import Method, Timing, Turn, interleaved_timing, median_ms
-from shape_obs.bench.peers import COLD, PEERS, TARGETS, WARM, spread, times_slower
-from shape_obs.bench.synthetic.streams import cloths, ropes
 from shape_obs.cli import main
 from shape_obs.utils.threads import one_thread
+from tests.benchmarks.interleaved_timing import Method, Timing, Turn, interleaved_timing, median_ms
+from tests.benchmarks.peers import COLD, PEERS, TARGETS, WARM, spread, times_slower
+from tests.benchmarks.scenes.streams import cloths, ropes
 
 pytestmark = pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
 

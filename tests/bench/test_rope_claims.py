@@ -2,8 +2,8 @@
 
 import pytest
 
-from shape_obs.bench.rope_claims import COUNTS, cable_episodes, drawn_ropes, moving_ropes
-from shape_obs.bench.synthetic.ropes import KINDS
+from tests.benchmarks.rope_claims import COUNTS, cable_episodes, drawn_ropes, moving_ropes
+from tests.benchmarks.scenes.ropes import KINDS
 
 
 @pytest.fixture(scope="module")

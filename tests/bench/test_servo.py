@@ -15,19 +15,19 @@ pytest.importorskip("mujoco")
 
 from PIL import Image
 
-from shape_obs.bench import ENVS, SERVO_ENVS
-from shape_obs.bench.interleaved_timing import Timing
-from shape_obs.bench.servo import study
-from shape_obs.bench.servo.episode import settled
-from shape_obs.bench.servo.settings import FEATURES, LAYOUTS, Disturbance, Setting, combinations
-from shape_obs.bench.servo.study import paired_rows, summary_rows
-from shape_obs.bench.servo.times import closed_forms, feature_times
-from shape_obs.bench.servo.worlds import World, without
-from shape_obs.bench.tables import Row
 from shape_obs.cli import main
 from shape_obs.features import read_features
 from shape_obs.geometry.topology import Chain
 from shape_obs.shape import Shape
+from tests.benchmarks import ENVS, SERVO_ENVS
+from tests.benchmarks.interleaved_timing import Timing
+from tests.benchmarks.servo import study
+from tests.benchmarks.servo.episode import settled
+from tests.benchmarks.servo.settings import FEATURES, LAYOUTS, Disturbance, Setting, combinations
+from tests.benchmarks.servo.study import paired_rows, summary_rows
+from tests.benchmarks.servo.times import closed_forms, feature_times
+from tests.benchmarks.servo.worlds import World, without
+from tests.benchmarks.tables import Row
 
 SETTING = Setting("Cable", "near", "camera", "160x120", "points3d", "rls")
 TRUTH = SETTING._replace(source="truth")

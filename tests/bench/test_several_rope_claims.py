@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from shape_obs.bench.rope_identity_claims import follow, rope_tracks, track_table
-from shape_obs.bench.several_rope_claims import cold_cells, levels, targets
-from shape_obs.bench.several_rope_peer import is_installed
-from shape_obs.bench.several_rope_speed import warm_costs
-from shape_obs.bench.synthetic.moving_ropes import Moment
-from shape_obs.bench.tables import Row
+from tests.benchmarks.rope_identity_claims import follow, rope_tracks, track_table
+from tests.benchmarks.scenes.moving_ropes import Moment
+from tests.benchmarks.several_rope_claims import cold_cells, levels, targets
+from tests.benchmarks.several_rope_peer import is_installed
+from tests.benchmarks.several_rope_speed import warm_costs
+from tests.benchmarks.tables import Row
 
 
 @pytest.fixture(scope="module")

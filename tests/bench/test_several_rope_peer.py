@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from shape_obs.bench.several_rope_peer import is_installed, peer_ropes
-from shape_obs.bench.synthetic.rope_scores import judge
-from shape_obs.bench.synthetic.several_ropes import several_ropes
+from tests.benchmarks.scenes.rope_scores import judge
+from tests.benchmarks.scenes.several_ropes import several_ropes
+from tests.benchmarks.several_rope_peer import is_installed, peer_ropes
 
 pytestmark = pytest.mark.skipif(not is_installed(), reason="needs scikit-image and scikit-learn")
 

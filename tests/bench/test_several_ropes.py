@@ -5,10 +5,10 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from shape_obs.bench.synthetic.rope_clearance import intersections
-from shape_obs.bench.synthetic.rope_pictures import lift, relief
-from shape_obs.bench.synthetic.rope_scores import judge, seen_axis, steps_off
-from shape_obs.bench.synthetic.several_ropes import noisy_depth, several_ropes
+from tests.benchmarks.scenes.rope_clearance import intersections
+from tests.benchmarks.scenes.rope_pictures import lift, relief
+from tests.benchmarks.scenes.rope_scores import judge, seen_axis, steps_off
+from tests.benchmarks.scenes.several_ropes import noisy_depth, several_ropes
 
 SIZES = ((480, 640), (672, 896))
 KINDS = [(2, 0, 0), (2, 2, 1), (2, 5, 0), (3, 1, 1), (3, 5, 0), (5, 0, 1), (5, 3, 0), (5, 6, 1)]

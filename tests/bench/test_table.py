@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from shape_obs.bench.synthetic.sheets import Sheet
-from shape_obs.bench.table import methods
-from shape_obs.bench.table.frames import CONFIGURATIONS, OF, scenes
-from shape_obs.bench.table.methods import METHODS, Runner
-from shape_obs.bench.table.report import markdown
-from shape_obs.bench.table.run import Done, Plan, run
-from shape_obs.bench.table.summary import PAPER, rankings, results
-from shape_obs.bench.tables import Parts, Row
 from shape_obs.cli import main
 from shape_obs.clustering.kmeans import KMeans
+from tests.benchmarks.scenes.sheets import Sheet
+from tests.benchmarks.table import methods
+from tests.benchmarks.table.frames import CONFIGURATIONS, OF, scenes
+from tests.benchmarks.table.methods import METHODS, Runner
+from tests.benchmarks.table.report import markdown
+from tests.benchmarks.table.run import Done, Plan, run
+from tests.benchmarks.table.summary import PAPER, rankings, results
+from tests.benchmarks.tables import Parts, Row
 
 
 def command(capsys: Any, *arguments: object) -> tuple[int, str, str]:
@@ -284,7 +284,7 @@ def test_the_ranking_counts_pairs_on_equal_frames():
 def test_thinning_gives_another_number_of_points_in_every_frame(tmp_path):
     pytest.importorskip("skimage")
     pytest.importorskip("mujoco")
-    from shape_obs.bench.table.frames import traced
+    from tests.benchmarks.table.frames import traced
 
     found = list(traced("thinning", enumerate(scenes("centerline", 0, 4, 0, "auto"))))
     assert OF["thinning"] == "centerline"

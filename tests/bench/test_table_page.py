@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shape_obs.bench.table.frames import CONFIGURATIONS
-from shape_obs.bench.table.methods import METHODS
-from shape_obs.bench.table.report import markdown
-from shape_obs.bench.table.run import Plan
-from shape_obs.bench.tables import Row
+from tests.benchmarks.table.frames import CONFIGURATIONS
+from tests.benchmarks.table.methods import METHODS
+from tests.benchmarks.table.report import markdown
+from tests.benchmarks.table.run import Plan
+from tests.benchmarks.tables import Row
 
 SCRIPT = Path(__file__).parents[2] / "docs" / "pictures" / "table.py"
 REST = {"cv": 0.1, "ordered": 1, "own_order": 1, "settled": 1, "pixels": 9, "refused": 0}

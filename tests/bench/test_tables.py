@@ -10,8 +10,8 @@ import pickle
 
 import pytest
 
-from shape_obs.bench import run_tasks
-from shape_obs.bench.tables import (
+from tests.benchmarks import run_tasks
+from tests.benchmarks.tables import (
     Row,
     as_csv,
     as_markdown,

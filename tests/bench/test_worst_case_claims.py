@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, Contour, ShapeDetector, Surface
-from shape_obs.bench.synthetic.blobs import random_blob
-from shape_obs.bench.synthetic.images import salted
-from shape_obs.bench.synthetic.ropes import random_rope
-from shape_obs.bench.synthetic.sheets import random_sheet
-from shape_obs.bench.tables import Row
-from shape_obs.bench.worst_case_claims import PATTERNS, SIZES, slowest, targets, worst_cases
 from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
 from shape_obs.initialization.gaps import cheapest_order
 from shape_obs.initialization.junctions import find_zones
 from shape_obs.initialization.skeleton import Branch, Skeleton
+from tests.benchmarks.scenes.blobs import random_blob
+from tests.benchmarks.scenes.images import salted
+from tests.benchmarks.scenes.ropes import random_rope
+from tests.benchmarks.scenes.sheets import random_sheet
+from tests.benchmarks.tables import Row
+from tests.benchmarks.worst_case_claims import PATTERNS, SIZES, slowest, targets, worst_cases
 
 SIZE = (640, 480)
 

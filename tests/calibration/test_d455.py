@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from shape_obs import TopView, find_markers
-from shape_obs.bench.marker_claims import board_images
-from shape_obs.bench.synthetic.tabletop import LAYOUT, marker_scene
 from shape_obs.calibration import Board, BoardViews, fit_base, fit_intrinsics, marker_points
 from shape_obs_envs.sources import RealSenseSource, SoftwareD455
 from shape_obs_envs.sources.registration import RawImages
+from tests.benchmarks.marker_claims import board_images
+from tests.benchmarks.scenes.tabletop import LAYOUT, marker_scene
 
 BOARD = Board()
 FAR = np.full((480, 640), 700, np.uint16)

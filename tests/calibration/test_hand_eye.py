@@ -13,8 +13,6 @@ import pytest
 from drawn_frames import Frames, run
 
 from shape_obs import Extrinsics, SpecError
-from shape_obs.bench.marker_claims import touched
-from shape_obs.bench.synthetic.tabletop import CAMERA, LAYOUT, MarkerScene, marker_scene
 from shape_obs.calibration import (
     Touch,
     fit_base,
@@ -24,6 +22,8 @@ from shape_obs.calibration import (
 )
 from shape_obs.markers import find_markers
 from shape_obs.recording import record
+from tests.benchmarks.marker_claims import touched
+from tests.benchmarks.scenes.tabletop import CAMERA, LAYOUT, MarkerScene, marker_scene
 
 PLACE = np.eye(4)
 PLACE[:3, :3] = cv2.Rodrigues(np.array([2.2, 0.4, -0.3]))[0]

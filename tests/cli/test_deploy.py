@@ -15,8 +15,8 @@ import pytest
 import yaml
 
 from shape_obs import Target, save_config
-from shape_obs.bench import deploy_claims
 from shape_obs.cli import main
+from tests.benchmarks import deploy_claims
 
 pytestmark = pytest.mark.skipif(
     not (find_spec("mujoco") and find_spec("pyrealsense2")),

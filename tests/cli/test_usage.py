@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from shape_obs.cli import COMMANDS, main
-from shape_obs.cli.bench import MEASUREMENTS
 from shape_obs.cli.calibrate import CALIBRATIONS
+from tests.benchmarks.cli import MEASUREMENTS
 
 GROUPS = {"calibrate": CALIBRATIONS, "bench": MEASUREMENTS}
 COMMAND_LINES = [[name] for name in COMMANDS if name not in GROUPS]

@@ -6,8 +6,8 @@ from sklearn.cluster import KMeans
 from sklearn.metrics import calinski_harabasz_score
 
 from shape_obs import Centerline, ShapeDetector
-from shape_obs.bench.scores import score
-from shape_obs.bench.synthetic.ropes import random_rope
+from tests.benchmarks.scenes.ropes import random_rope
+from tests.benchmarks.scores import score
 
 
 @pytest.mark.parametrize("kind", ["smooth", "u", "s", "loop"])

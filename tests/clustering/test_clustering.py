@@ -11,12 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import Centerline, Contour, ShapeDetector, Surface
-from shape_obs.bench.scores import outline_score, score
-from shape_obs.bench.surface_claims import score_sheet
-from shape_obs.bench.synthetic.blobs import draw_blob, moving_blob, random_blob
-from shape_obs.bench.synthetic.clouds import ring_cloud, rope_cloud, sheet_cloud
-from shape_obs.bench.synthetic.ropes import moving_rope
-from shape_obs.bench.synthetic.sheets import Sheet, draw_sheet, moving_sheet, random_sheet
 from shape_obs.clustering.base import Clusterer
 from shape_obs.clustering.fcm import FuzzyCMeans
 from shape_obs.clustering.gmm import GaussianMixture
@@ -25,6 +19,12 @@ from shape_obs.clustering.kohonen import Kohonen
 from shape_obs.geometry.observed import Samples
 from shape_obs.geometry.topology import Chain, Grid
 from shape_obs.metrics import calinski_harabasz, distance, nearest, spacing_cv
+from tests.benchmarks.scenes.blobs import draw_blob, moving_blob, random_blob
+from tests.benchmarks.scenes.clouds import ring_cloud, rope_cloud, sheet_cloud
+from tests.benchmarks.scenes.ropes import moving_rope
+from tests.benchmarks.scenes.sheets import Sheet, draw_sheet, moving_sheet, random_sheet
+from tests.benchmarks.scores import outline_score, score
+from tests.benchmarks.surface_claims import score_sheet
 
 NAMES = ("kmeans", "gmm", "fcm", "kohonen")
 ALL: tuple[Clusterer, ...] = (KMeans(), GaussianMixture(), FuzzyCMeans(), Kohonen())

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, ShapeDetector, ShapeObservation, SpecError, load_config, save_config, schema_hash
-from shape_obs.bench.scores import score
 from shape_obs.clustering.base import Clusterer, SelfOrganisingMap
 from shape_obs.clustering.kmeans import KMeans
+from tests.benchmarks.scores import score
 
 NAMES = ("kmeans", "gmm", "fcm", "kohonen")
 

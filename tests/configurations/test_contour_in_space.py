@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from shape_obs.bench.contour_claims import seen_outline
-from shape_obs.bench.scores import tally_visible
-from shape_obs.bench.synthetic.flat_objects import View, in_space, noisy_depth, ring
 from shape_obs.configurations.contour import Contour
 from shape_obs.geometry.curve import FittedCurve
+from tests.benchmarks.contour_claims import seen_outline
+from tests.benchmarks.scenes.flat_objects import View, in_space, noisy_depth, ring
+from tests.benchmarks.scores import tally_visible
 
 
 def curve(points: np.ndarray, space: np.ndarray | None = None) -> FittedCurve:

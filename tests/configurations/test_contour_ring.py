@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from shape_obs import Contour, ShapeDetector
-from shape_obs.bench.synthetic.blobs import KINDS, random_blob
+from tests.benchmarks.scenes.blobs import KINDS, random_blob
 
 
 def one(mask: np.ndarray, **kwargs: Any) -> Any:

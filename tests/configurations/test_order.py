@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, Configuration, Contour, ShapeDetector, Surface
-from shape_obs.bench.synthetic.blobs import moving_blob
-from shape_obs.bench.synthetic.ropes import moving_rope
-from shape_obs.bench.synthetic.sheets import turning_sheet
 from shape_obs.geometry.curve import FittedCurve
+from tests.benchmarks.scenes.blobs import moving_blob
+from tests.benchmarks.scenes.ropes import moving_rope
+from tests.benchmarks.scenes.sheets import turning_sheet
 
 
 class Frame(NamedTuple):

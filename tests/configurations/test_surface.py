@@ -1,4 +1,4 @@
-"""Surfaces: lattices over sheets; `shape_obs.bench.surface_claims` measures the same on more of them."""
+"""Surfaces: lattices over sheets; `tests.benchmarks.surface_claims` measures the same on more of them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import Intrinsics, ShapeDetector, SpecError, Surface
-from shape_obs.bench.surface_claims import (
+from tests.benchmarks.scenes.sheets import Sheet, draw_sheet, random_sheet, regular, rotation
+from tests.benchmarks.surface_claims import (
     ASPECTS,
     drawn_sheets,
     first_corner,
@@ -23,7 +24,6 @@ from shape_obs.bench.surface_claims import (
     sheet_table,
     turning_sheets,
 )
-from shape_obs.bench.synthetic.sheets import Sheet, draw_sheet, random_sheet, regular, rotation
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "real"
 

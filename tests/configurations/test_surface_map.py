@@ -8,7 +8,7 @@ import pytest
 from sklearn.metrics import calinski_harabasz_score
 
 from shape_obs import ShapeDetector, Surface
-from shape_obs.bench.synthetic.sheets import random_sheet
+from tests.benchmarks.scenes.sheets import random_sheet
 
 
 def lattice(mask: np.ndarray, epochs: int, ends: str = "tips") -> np.ndarray:

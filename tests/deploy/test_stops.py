@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from shape_obs.bench import stop_claims as stops
+from tests.benchmarks import stop_claims as stops
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 #: Seconds. 50 ms are asked for and about one is seen; a busy machine gets more, a robot that is not stopped takes 10 s.

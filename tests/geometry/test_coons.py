@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import KDTree
 
-from shape_obs.bench.synthetic.sheets import rotation
 from shape_obs.geometry.coons import FINE
 from shape_obs.geometry.lattice import FittedLattice
 from shape_obs.initialization.corners import Rim
+from tests.benchmarks.scenes.sheets import rotation
 
 
 def bulged(seed: int) -> tuple[np.ndarray, list[np.ndarray]]:

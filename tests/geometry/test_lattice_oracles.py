@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
-from shape_obs.bench.synthetic.sheets import rotation
 from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, outer_corners, sample_lattice
 from shape_obs.initialization.corners import Rim
+from tests.benchmarks.scenes.sheets import rotation
 
 
 def square_outline(degrees: float) -> tuple[np.ndarray, np.ndarray]:

@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import Centerline, ShapeDetector
-from shape_obs.bench.click_claims import by_clicks, first_click, next_click
-from shape_obs.bench.synthetic.object_photos import object_photo, object_photos
 from shape_obs.config.config_file import detector_arguments, load_config, save_config
 from shape_obs.image.clicked_colours import ClickedColours, ColourGaussian
 from shape_obs.image.colour_picker import propose_segmentation
 from shape_obs.image.segmentation import Segmentation, colour_table
 from shape_obs.utils.arrays import read_image
+from tests.benchmarks.click_claims import by_clicks, first_click, next_click
+from tests.benchmarks.scenes.object_photos import object_photo, object_photos
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "real" / "blue_rope_640x480.png"
 

@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import ColourRule, DepthRange, Frame, GrayRange, HSVRange, Polygon, ShapeDetector, Whole
-from shape_obs.bench.synthetic.ropes import KINDS, random_rope
 from shape_obs.image.colour_search import find_by_colour, table_mask
 from shape_obs.image.find_region import find_region, prepare, segment
 from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import colour_table
+from tests.benchmarks.scenes.ropes import KINDS, random_rope
 
 BLUE = HSVRange((100, 120, 60), (125, 255, 255))
 
@@ -268,7 +268,7 @@ class TestSegment:
 
     def test_points_from_the_search_are_those_of_the_rule(self):
         """A tracking detector finds the points to 0.3 px, in fact to the last digit."""
-        from shape_obs.bench.synthetic.ropes import moving_rope
+        from tests.benchmarks.scenes.ropes import moving_rope
 
         rng = np.random.default_rng(9)
         by_colour, by_mask = ShapeDetector(segmentation=BLUE), ShapeDetector(segmentation=BLUE)

@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from shape_obs.bench.synthetic.several_ropes import RopeScene, noisy_depth, several_ropes
 from shape_obs.frame import depth_images
 from shape_obs.geometry.crossings import Crossing
 from shape_obs.geometry.intersections import find_crossings
 from shape_obs.image.over_under import find_layers
+from tests.benchmarks.scenes.several_ropes import RopeScene, noisy_depth, several_ropes
 
 _NONE = depth_images(None)
 

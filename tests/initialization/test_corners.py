@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shape_obs.bench.synthetic.sheets import rotation
 from shape_obs.initialization.corners import Rim
+from tests.benchmarks.scenes.sheets import rotation
 
 
 @settings(max_examples=20)

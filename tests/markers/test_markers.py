@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from shape_obs import HSVRange, MarkerLayout, Markers, Polygon, ShapeDetector, ShapeLostError, SpecError, TopView
-from shape_obs.bench.marker_claims import tops
-from shape_obs.bench.synthetic.tabletop import CAMERA, LAYOUT, MarkerScene, marker_scene
 from shape_obs.markers import MarkersNotSeen, find_markers, fourth_marker
+from tests.benchmarks.marker_claims import tops
+from tests.benchmarks.scenes.tabletop import CAMERA, LAYOUT, MarkerScene, marker_scene
 
 BLUE = HSVRange((100, 80, 40), (130, 255, 255))
 ROPE = np.stack([np.linspace(0.15, 0.45, 60), 0.21 + 0.04 * np.sin(np.linspace(0, 6, 60))], axis=1)

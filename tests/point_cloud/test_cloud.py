@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from shape_obs import CameraModel, Centerline, Contour, Intrinsics, ShapeDetector, ShapeLostError, Surface
-from shape_obs.bench.synthetic.clouds import ring_cloud, rope_cloud, sheet_cloud
+from tests.benchmarks.scenes.clouds import ring_cloud, rope_cloud, sheet_cloud
 
 TIPS = Centerline(ends="tips")
 

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, Contour, Intrinsics, ShapeDetector, Surface
-from shape_obs.bench import cloud_claims
-from shape_obs.bench.synthetic.clouds import SheetCloud, sheet_cloud
-from shape_obs.bench.synthetic.images import CAMERA, tilted_rope, tilted_sheet
-from shape_obs.bench.synthetic.tangles import crossing_rope
 from shape_obs.geometry.polyline import resample
 from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
 from shape_obs.point_cloud.cloud import Cloud
 from shape_obs.point_cloud.deprojection import deproject
+from tests.benchmarks import cloud_claims
+from tests.benchmarks.scenes.clouds import SheetCloud, sheet_cloud
+from tests.benchmarks.scenes.images import CAMERA, tilted_rope, tilted_sheet
+from tests.benchmarks.scenes.tangles import crossing_rope
 
 
 def straight(count: int = 3000) -> np.ndarray:

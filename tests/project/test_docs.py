@@ -25,8 +25,8 @@ import shape_obs.image.mask_function  # noqa: F401  # kinds that a page may impo
 from shape_obs import Centerline, HSVRange, Segmentation, save_config
 from shape_obs.cli import COMMANDS as CLI_COMMANDS
 from shape_obs.cli import main
-from shape_obs.cli.bench import MEASUREMENTS
 from shape_obs.cli.calibrate import CALIBRATIONS
+from tests.benchmarks.cli import MEASUREMENTS
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -95,7 +95,7 @@ def loaded_by_all_but(*skip: str) -> set[str]:
 def test_no_module_of_the_core_loads_gymnasium():
     loaded = loaded_by_all_but(
         "shape_obs.wrappers", "shape_obs.training", "shape_obs.deploy.policy_bundle", "shape_obs.ablation",
-        "shape_obs.extraction", "shape_obs.tuner", "shape_obs.bench", "shape_obs.cli",
+        "shape_obs.extraction", "shape_obs.tuner", "tests.benchmarks", "shape_obs.cli",
     )  # fmt: skip
     assert not loaded & {"gymnasium", "sklearn", "tyro", "matplotlib"}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from shape_obs.bench.rope_identity_claims import rope_tracks
+from tests.benchmarks.rope_identity_claims import rope_tracks
 
 
 @pytest.mark.parametrize(

@@ -42,8 +42,8 @@ def pages() -> dict[str, str]:
 def help_texts() -> dict[str, str]:
     """Return the ``--help`` of each command and subcommand, without boxes and line breaks inside an option's text."""
     from shape_obs.cli import COMMANDS
-    from shape_obs.cli.bench import MEASUREMENTS
     from shape_obs.cli.calibrate import CALIBRATIONS
+    from tests.benchmarks.cli import MEASUREMENTS
 
     parts = {"calibrate": CALIBRATIONS, "bench": MEASUREMENTS}
     commands = ["", *COMMANDS, *(f"{group} {name}" for group, names in parts.items() for name in names)]

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from shape_obs import ShapeDetector, Surface
-from shape_obs.bench.synthetic.sheets import Sheet, moving_sheet
 from shape_obs.compiled import compiled
 from shape_obs.geometry.coons import SIDE, side_lengths
 from shape_obs.tracking.corner_matching import (
@@ -25,6 +24,7 @@ from shape_obs.tracking.corner_matching import (
     match_corners,
 )
 from shape_obs.tracking.validation import validate_sheet
+from tests.benchmarks.scenes.sheets import Sheet, moving_sheet
 
 
 @pytest.mark.parametrize("radius", [12, 30])

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from shape_obs import Intrinsics, ShapeDetector, Surface
-from shape_obs.bench.contour_claims import seen_outline
-from shape_obs.bench.scores import tally_visible
-from shape_obs.bench.surface_claims import seen_points
-from shape_obs.bench.synthetic.flat_objects import View, cloth, in_space, ring, under_hand
-from shape_obs.bench.synthetic.images import CAMERA, tilted_sheet
 from shape_obs.frame import depth_images
 from shape_obs.geometry.topology import Grid
 from shape_obs.tracking.hidden_border import rim_depth
 from shape_obs.tracking.validation import FOLDED, validate_gaps
+from tests.benchmarks.contour_claims import seen_outline
+from tests.benchmarks.scenes.flat_objects import View, cloth, in_space, ring, under_hand
+from tests.benchmarks.scenes.images import CAMERA, tilted_sheet
+from tests.benchmarks.scores import tally_visible
+from tests.benchmarks.surface_claims import seen_points
 
 VIEW = View()
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, ShapeDetector
-from shape_obs.bench.motion_claims import track
-from shape_obs.bench.rope_claims import ropes_under_hands
-from shape_obs.bench.synthetic.hidden_ropes import Cover, hidden_ropes
-from shape_obs.bench.synthetic.images import hidden_rope
-from shape_obs.bench.tables import Row
+from tests.benchmarks.motion_claims import track
+from tests.benchmarks.rope_claims import ropes_under_hands
+from tests.benchmarks.scenes.hidden_ropes import Cover, hidden_ropes
+from tests.benchmarks.scenes.images import hidden_rope
+from tests.benchmarks.tables import Row
 
 
 @pytest.fixture(scope="module")

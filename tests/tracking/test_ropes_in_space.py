@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, Shape, ShapeDetector
-from shape_obs.bench.synthetic.hidden_ropes import Seen, camera_of, see
 from shape_obs.geometry.curve import FittedCurve, Length, TrackHints
 from shape_obs.geometry.polyline import resample
 from shape_obs.tracking.validation import doubt_in_space
+from tests.benchmarks.scenes.hidden_ropes import Seen, camera_of, see
 
 N = 20
 CAMERA = camera_of((480, 640))

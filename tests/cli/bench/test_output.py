@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
-from shape_obs.cli.bench import MEASUREMENTS
-from shape_obs.cli.bench.output import Output, image_size
+from tests.benchmarks.cli import MEASUREMENTS
+from tests.benchmarks.cli.output import Output, image_size
 
 
 def test_tables_are_printed_when_they_are_complete(capsys):

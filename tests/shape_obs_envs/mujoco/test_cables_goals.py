@@ -14,9 +14,9 @@ pytest.importorskip("mujoco")
 
 import shape_obs_envs  # noqa: F401
 from shape_obs import ShapeGoal
-from shape_obs.bench.servo.episode import play
-from shape_obs.bench.servo.settings import Setting
-from shape_obs.bench.servo.worlds import World
+from tests.benchmarks.servo.episode import play
+from tests.benchmarks.servo.settings import Setting
+from tests.benchmarks.servo.worlds import World
 
 GOALS = ("achieved_goal", "desired_goal")
 # Two ropes at a size at which every rope is found in each of these frames.

@@ -16,10 +16,10 @@ from simulator_gl import needs_gl
 
 import shape_obs_envs  # noqa: F401
 from shape_obs import ShapeGoal, ShapeObservation
-from shape_obs.bench.servo.worlds import TrueDetector, Unseen
 from shape_obs.servo import ShapeServo
 from shape_obs_envs.mujoco.bodies import MaterialFactors
 from shape_obs_envs.mujoco.hanging import HangingEnv
+from tests.benchmarks.servo.worlds import TrueDetector, Unseen
 
 
 def make(**options: Any) -> HangingEnv:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from shape_obs import CameraModel, Intrinsics
-from shape_obs.bench.registration_claims import registration_errors
-from shape_obs.bench.synthetic.tabletop import rows_of_blocks, see
 from shape_obs_envs.sources.realsense.driver import d455_geometry
 from shape_obs_envs.sources.registration import RawImages, Registration
+from tests.benchmarks.registration_claims import registration_errors
+from tests.benchmarks.scenes.tabletop import rows_of_blocks, see
 
 D455 = d455_geometry(640, 480, 0.001)
 COLOUR, DEPTH, PLACE = D455.colour, D455.depth, (D455.rotation, D455.translation)

@@ -17,7 +17,7 @@ from fuzzing.bundle_canary import VARIABLE, write_canary
 from fuzzing.bundle_mutations import mutations
 from fuzzing.bundle_sample import TRUSTED, members_of, save_sample
 from fuzzing.bundle_sizes import sizes
-from shape_obs.bench.tables import at_least, at_most
+from tests.benchmarks.tables import at_least, at_most
 
 _SECONDS: Final = 2.0
 _MEGABYTES: Final = 300.0

@@ -16,7 +16,6 @@ import yaml
 from fuzzing.mutations import mutate, mutate_bytes
 from fuzzing.outcomes import Outcomes
 from shape_obs.ablation import load_study
-from shape_obs.bench.tables import at_least, at_most
 from shape_obs.calibration.intrinsics import IntrinsicsFit
 from shape_obs.calibration.touch_points import read_touches
 from shape_obs.camera import Intrinsics
@@ -28,6 +27,7 @@ from shape_obs.geometry.topology import Chain
 from shape_obs.utils.arrays import decode_npz
 from shape_obs.utils.documents import read_yaml
 from shape_obs.wrappers.target import Target
+from tests.benchmarks.tables import at_least, at_most
 
 Tick = Callable[[], object]
 

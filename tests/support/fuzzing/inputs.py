@@ -18,11 +18,11 @@ import shape_obs
 from fuzzing import random_inputs
 from fuzzing.random_inputs import pick
 from fuzzing.random_scenes import RandomImages, Scene, colour_image
-from shape_obs.bench.tables import at_most
 from shape_obs.detector import ShapeDetector
 from shape_obs.shape import Detection, Shape
 from shape_obs.tracking.missing import ShapeLostError
 from shape_obs.wrappers import ShapeObservation
+from tests.benchmarks.tables import at_most
 
 #: What is counted, each asked to be zero.
 PROMISES: Final = ("undeclared exceptions", "warnings", "broken contracts of a Shape", "bad observations")

@@ -15,7 +15,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import yaml
 
-from shape_obs.bench.tables import at_least, at_most
+from tests.benchmarks.tables import at_least, at_most
 
 #: As small as a study can be: the simulator's points, near goals, tiny networks. It takes about twenty seconds.
 STUDY: Final[Mapping[str, Any]] = {

@@ -16,12 +16,12 @@ import numpy as np
 
 from fuzzing.mutations import flip, mutate, mutate_bytes
 from fuzzing.outcomes import Outcomes, opened_in
-from shape_obs.bench.tables import at_least, at_most
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.frame import Frame
 from shape_obs.recording import Moment, Recording, RecordingWriter
 from shape_obs.recording.format import CAMERA_FILE, FRAMES_FILE
 from shape_obs.source import BadRecording
+from tests.benchmarks.tables import at_least, at_most
 
 _SIZE: Final = (12, 16)  # pixels, (H, W)
 _FRAMES: Final = 3

@@ -10,8 +10,8 @@ import numpy as np
 
 from fuzzing.mutations import flip
 from fuzzing.outcomes import Outcomes
-from shape_obs.bench.tables import at_most
 from shape_obs.recording import ShapeTable
+from tests.benchmarks.tables import at_most
 
 SUFFIXES: Final = (".parquet", ".npz", ".csv")
 _FRAMES: Final = 12

@@ -1,0 +1,257 @@
+"""Compare found points with a known curve, a known outline, or the truth of a simulator."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
+
+from shape_obs.configurations.base import Ends
+from shape_obs.geometry.outline import clockwise
+from shape_obs.geometry.polyline import arc_length, interpolate, resample
+from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
+from shape_obs.metrics import in_order, spacing_cv
+from shape_obs.shape import Shape
+from tests.benchmarks.scenes.ropes import resample as resample_by_step
+from tests.benchmarks.tables import Row
+
+Array = npt.NDArray[np.float64]
+
+BOTH_ENDS: Final[tuple[Ends, ...]] = ("centers", "tips")
+SLIP: Final = 0.5  # gaps; a point that is farther from its position is nearer to that of its neighbour
+LEAST_SHOWN: Final = 0.55  # of an object: with less in sight it may be refused
+FAR: Final = 0.010  # metres; the mean error of a frame that must not be called ok
+_FINE_STEP: Final = 0.1  # pixels
+_BEYOND: Final = 100  # points by which a curve is continued at its ends
+_PER_GAP: Final = 50  # points of a simulator's truth for each gap
+
+
+def score(points: npt.ArrayLike, curve: Array, ends: Ends, *, directed: bool = True) -> Row:
+    """Compare N found points with a known curve.
+
+    Args:
+        points: ``(N, D)``.
+        curve: ``(P, D)``, from end to end.
+        ends: Where the points belong: ``"centers"`` of N equal pieces, or from tip to tip (``"tips"``).
+        directed: Whether point 0 belongs to the curve's start; otherwise either direction is right.
+
+    Returns:
+        ``ordered``: whether the points' positions along the curve strictly increase; ``flipped``: whether they run
+        against the curve's direction; ``distance``: mean distance of the points from the curve, in its unit; ``tip``:
+        the larger distance of the first and last point from the curve's ends; ``gap_cv``: standard deviation over mean
+        of the distances between neighbours; ``slip``: largest distance of a point from its true arc position, along the
+        curve, in gaps.
+    """
+    found = np.asarray(points, dtype=np.float64)
+    size = len(found)
+    share = (np.arange(size) + 0.5) / size if ends == "centers" else np.linspace(0, 1, size)
+
+    def off(way: Array) -> float:
+        way = np.ascontiguousarray(way, dtype=np.float64)
+        arc = arc_length(way)
+        return float(np.sum((found - interpolate(way, arc, share * arc[-1])) ** 2))
+
+    flipped = off(curve[::-1]) < off(curve)
+    if flipped and not directed:
+        curve, flipped = curve[::-1], False
+    curve = np.ascontiguousarray(curve, dtype=np.float64)
+    arc = arc_length(curve)
+    scale = 1.0 if arc[-1] > 10 else 1000.0  # a curve in metres gets as many fine points as one in pixels
+    fine = resample(curve, max(int(arc[-1] / _FINE_STEP * scale), 2))
+    distance = KDTree(fine).query(found)[0]
+    step = arc[-1] / (len(fine) - 1)
+    along = (KDTree(_continued(fine, _BEYOND)).query(found)[1] - _BEYOND) * step
+    gap = arc[-1] / (size if ends == "centers" else size - 1)
+    return Row(
+        ordered=in_order(along),
+        flipped=bool(flipped),
+        distance=float(distance.mean()),
+        tip=float(max(np.linalg.norm(found[0] - curve[0]), np.linalg.norm(found[-1] - curve[-1]))),
+        gap_cv=spacing_cv(found, Chain(size)),
+        slip=float(np.abs(along - arc[-1] * share).max() / gap),
+    )
+
+
+def faithfulness(points: npt.ArrayLike, curve: Array, width: float) -> Row:
+    """Compare a found polyline with a known axis, in both directions.
+
+    Args:
+        points: ``(N, 2)`` pixels, the corners of the polyline.
+        curve: ``(P, 2)`` pixels, the axis from end to end.
+        width: The rope's, pixels.
+
+    Returns:
+        ``within``: the share of the length within half a width, of the axis from the polyline or of the polyline from
+        the axis, whichever is less; ``distance``: mean distance of the axis from the polyline; ``farthest``: the
+        largest in either direction, both in widths.
+    """
+    found, true = (resample_by_step(np.asarray(line, dtype=np.float64), _FINE_STEP) for line in (points, curve))
+    missed, strayed = (KDTree(line).query(other)[0] / width for line, other in ((found, true), (true, found)))
+    return Row(
+        within=float(min(np.mean(missed <= 0.5), np.mean(strayed <= 0.5))),
+        distance=float(missed.mean()),
+        farthest=float(max(missed.max(), strayed.max())),
+    )
+
+
+def tally(scores: Sequence[Any]) -> Row:
+    """Count the frames of one track, and those with a point more than half a gap from its position.
+
+    Args:
+        scores: A score with a ``slip`` for each frame.
+    """
+    slips = [each.slip for each in scores]
+    return Row(frames=len(slips), slips=sum(slip > SLIP for slip in slips), worst_slip=max(slips))
+
+
+def _continued(curve: Array, count: int) -> Array:
+    """Return a curve continued straight by ``count`` points at both ends, so that points past a tip have an order."""
+    steps = np.arange(1, count + 1)[:, None]
+    before, behind = curve[0] + (curve[0] - curve[1]) * steps[::-1], curve[-1] + (curve[-1] - curve[-2]) * steps
+    return np.concatenate([before, curve, behind])
+
+
+def outline_score(points: npt.ArrayLike, outline: Array) -> Row:
+    """Compare N found points with a known outline.
+
+    Args:
+        points: ``(N, 2)`` pixels.
+        outline: ``(P, 2)`` pixels, closed, clockwise as seen, from where point 0 belongs.
+
+    Returns:
+        ``ordered``: whether the points' positions along the outline strictly increase, once around; ``clockwise``:
+        whether they run clockwise as seen in the image; ``distance``: mean distance of the points from the outline, in
+        pixels; ``gap_cv``: standard deviation over mean of the distances between neighbours, including last to first;
+        ``slip``: largest distance of a point from its true arc position, along the outline, in gaps; it has no meaning
+        where the outline does not begin where point 0 belongs.
+    """
+    found = np.asarray(points, dtype=np.float64)
+    fine = resample_by_step(np.concatenate([outline, outline[:1]]), _FINE_STEP)[:-1]
+    distance, nearest = KDTree(fine).query(found)
+    along = np.asarray(nearest, dtype=np.float64) / len(fine)
+    off = (along - np.arange(len(found)) / len(found) + 0.5) % 1.0 - 0.5
+    return Row(
+        ordered=in_order(along, period=1.0),
+        clockwise=clockwise(found),
+        distance=float(distance.mean()),
+        gap_cv=spacing_cv(found, Ring(len(found))),
+        slip=float(np.abs(off).max() * len(found)),
+    )
+
+
+def simulator_score(points: Array, valid: npt.NDArray[np.bool_], layout: Topology, simulator: Any) -> Row:
+    """Compare found points with the truth of a simulator.
+
+    Args:
+        points: ``(N, 3)`` metres, base frame.
+        valid: ``(N,)`` the measured points.
+        layout: The topology of the points.
+        simulator: The environment; ``truth`` returns its points in the same frame.
+
+    Returns:
+        ``mm``: mean distance of all points from their true positions, in millimetres; ``slip``: largest distance of a
+        valid point from its material, in gaps along the curve or the lattice; ``flipped``: whether another numbering of
+        the same points (from the other end, the other way round, from another corner) would be nearer; ``errors``:
+        ``(N,)`` distances of all points from their true positions, metres.
+    """
+    if isinstance(layout, Grid):
+        true = simulator.truth(layout.rows, layout.cols)
+        away = off_lattice(layout.lattice(points - true), layout.lattice(true))
+        slips = np.abs(away).max(axis=-1).ravel()
+    elif isinstance(layout, (Chain, Ring)):
+        true = simulator.truth(layout.size)
+        slips = _along_curve(points, simulator, isinstance(layout, Ring))
+    else:
+        raise ValueError(f"expected a chain, a ring or a lattice, got {type(layout).__name__}.")
+    distance = np.linalg.norm(points - true, axis=1)
+    others = min(float(np.sum((other - true) ** 2)) for other in _renumbered(points, layout))
+    slip = float(slips[valid].max(initial=0.0))
+    flipped = others < float(np.sum(distance**2))
+    return Row(mm=1e3 * float(distance.mean()), slip=slip, flipped=flipped, errors=distance)
+
+
+def _along_curve(points: Array, simulator: Any, closed: bool) -> Array:
+    """Return the distances of points from their true arc positions, ``(N,)``, along the curve in gaps."""
+    count = len(points)
+    if closed:
+        at = cdist(points, simulator.truth(_PER_GAP * count)).argmin(axis=1) / _PER_GAP
+        return np.abs((at - np.arange(count) + count / 2) % count - count / 2)
+    line = _continued(simulator.truth(_PER_GAP * (count - 1) + 1), _PER_GAP)
+    return np.abs(cdist(points, line).argmin(axis=1) / _PER_GAP - 1 - np.arange(count))
+
+
+def off_lattice(away: Array, true: Array) -> Array:
+    """Return the distances of points from their true positions on a sheet, (rows, cols, 2), in gaps down and across.
+
+    Args:
+        away: From the true positions to the found ones, (rows, cols, D).
+        true: The true positions, (rows, cols, D).
+    """
+    gaps = np.stack([np.gradient(true, axis=0), np.gradient(true, axis=1)], axis=-1)
+    return np.asarray(np.linalg.pinv(gaps) @ away[..., None], dtype=np.float64)[..., 0]
+
+
+def _renumbered(points: Array, layout: Topology) -> list[Array]:
+    """Return the same points in every other order that a shape of this layout could have."""
+    if isinstance(layout, Grid):
+        lattice = layout.lattice(points)
+        turned = (lattice[::-1], lattice[:, ::-1], lattice[::-1, ::-1])
+        return [other.reshape(points.shape) for other in turned]
+    backwards = points[::-1]
+    return [np.roll(backwards, 1, axis=0) if isinstance(layout, Ring) else backwards]
+
+
+def tally_visible(frames: Sequence[Row]) -> Row:
+    """Count what was claimed of an object of which a part is hidden, over the frames of one or more tracks.
+
+    Args:
+        frames: One row for each: ``ok``, without a reason against it; ``shown``, the share of the object that is seen;
+            ``off``: ``(N,)`` distances of the points from their material, in gaps; ``visible`` and ``valid``: ``(N,)``
+            what was claimed; ``hidden``: ``(N,)`` what is true; ``mm``: ``(N,)`` millimetres, NaN without depth;
+            ``track``: its number.
+
+    Returns:
+        ``slips``: frames that are ok and have a visible point more than half a gap off, in percent of those that are
+        ok; ``refused``: in percent of the frames in which 55 % of the object shows; ``seen``: percent of the truly
+        visible points of these frames that are visible and valid; ``hidden_valid``: percent of the truly hidden points
+        that are valid; ``mm``: mean of the valid points; ``renewed``: how often a new track was reported.
+    """
+    ok = [row for row in frames if row.ok]
+    slips = sum(bool((row.off[row.visible] > SLIP).any()) for row in ok)
+    most = [row for row in frames if row.shown >= LEAST_SHOWN]
+    seen = [(row.visible & row.valid)[~row.hidden].mean() for row in most if not row.hidden.all()]
+    hidden = sum(int((row.valid & row.hidden).sum()) for row in frames)
+    errors = np.concatenate([row.mm[row.valid] for row in ok] or [np.empty(0)])
+    return Row(
+        frames=len(frames),
+        slips=100 * slips / max(len(ok), 1),
+        refused=100 * sum(not row.ok for row in most) / max(len(most), 1),
+        seen=100 * float(np.mean(seen)) if seen else 100.0,
+        hidden_valid=100 * hidden / max(sum(int(row.hidden.sum()) for row in frames), 1),
+        mm=float(errors.mean()) if len(errors) else float("nan"),
+        renewed=sum(after.track == before.track + 1 for before, after in pairwise(frames)),
+        worst=max((float(row.off[row.visible].max(initial=0.0)) for row in ok), default=0.0),
+    )
+
+
+def belief(shape: Shape, errors: Array, shown: npt.NDArray[np.bool_], slipped: bool) -> Row:
+    """Return what a shape that is ok says of its errors, and what they are.
+
+    Args:
+        shape: With points in space, or without.
+        errors: ``(N,)`` distances of the points from their material, metres or, without points in space, pixels.
+        shown: ``(N,)`` the points that are in sight in truth.
+        slipped: Whether a visible point is more than half a gap off.
+
+    Returns:
+        ``errors``, ``sigma`` and ``shown``: ``(N,)``; ``space``: whether they are metres; ``wrong``: whether the frame
+        should not be ok: it slipped, or the mean error of its valid points is above 10 mm.
+    """
+    space = shape.points3d is not None
+    far = space and shape.valid.any() and float(errors[shape.valid].mean()) > FAR
+    return Row(errors=errors, sigma=shape.sigma, shown=shown, space=space, wrong=bool(slipped or far))
