@@ -140,7 +140,9 @@ _stream("blob_lost", Blob(seed=90, turn=1.5), _ring(), gone=(7, 8, 9), rate=60, 
 
 # Sheets.
 _stream("sheet_calm", Sheet(seed=100), _grid())
-_stream("sheet_square_turning", Sheet(seed=101, width=0.24, height=0.24, turn=2.0), _grid(5, 5), arguments={"ends": "tips"})
+_stream(
+    "sheet_square_turning", Sheet(seed=101, width=0.24, height=0.24, turn=2.0), _grid(5, 5), arguments={"ends": "tips"}
+)
 _stream("sheet_bent", Sheet(seed=102, roll=1.2, tilt=(0.3, 0.2)), _grid(spacing="m"), depth="m", noise=0.04,
         size=_SMALL, frames=18)  # fmt: skip
 _stream("sheet_corner_hidden", Sheet(seed=103), _grid(), hands=(Hand(0, 20),), depth="mm", wall=0.75, frames=30,
@@ -152,7 +154,14 @@ _stream("sheet_border", Sheet(seed=107, travel=(-0.16, 0.05, 0.0)), _grid(), fra
 _stream("sheet_tilted", Sheet(seed=108, tilt=(0.7, 0.3)), _grid(4, 6), depth="mm", noise=0.06, holes=0.05,
         size=_SMALL)  # fmt: skip
 _stream("sheet_image_order", Sheet(seed=109, turn=2.5), _grid(), arguments={"order": "image"})
-_stream("sheet_fit_in_space", Sheet(seed=110, roll=0.8), _grid(lift="cloud", freedom=0.5), depth="mm", size=_SMALL, frames=12)
+_stream(
+    "sheet_fit_in_space",
+    Sheet(seed=110, roll=0.8),
+    _grid(lift="cloud", freedom=0.5),
+    depth="mm",
+    size=_SMALL,
+    frames=12,
+)
 _stream("sheet_held", Sheet(seed=111, turn=1.0), _grid(anchor="grip"), depth="m", transform=_ABOVE,
         grips={"grip": (0, 0)}, anchored=True)  # fmt: skip
 
@@ -160,14 +169,18 @@ _stream("sheet_held", Sheet(seed=111, turn=1.0), _grid(anchor="grip"), depth="m"
 _stream("rope_kmeans", Rope(seed=120), _line(10), arguments={"clustering": {"kind": "kmeans"}}, frames=10, size=_SMALL)
 _stream("rope_gmm", Rope(seed=121), _line(8), arguments={"clustering": {"kind": "gmm"}}, frames=5, size=_SMALL)
 _stream("rope_fcm", Rope(seed=122), _line(10), arguments={"clustering": {"kind": "fcm"}}, frames=10, size=_SMALL)
-_stream("blob_kohonen", Blob(seed=123), _ring(16), arguments={"clustering": {"kind": "kohonen"}}, frames=10, size=_SMALL)
+_stream(
+    "blob_kohonen", Blob(seed=123), _ring(16), arguments={"clustering": {"kind": "kohonen"}}, frames=10, size=_SMALL
+)
 _stream("sheet_kmeans", Sheet(seed=124), _grid(3, 5), arguments={"clustering": {"kind": "kmeans"}}, frames=10,
         size=_SMALL)  # fmt: skip
 
 # Clouds.
 _stream("cloud_rope", Rope(seed=130, pitch=0.8), _line(), via="cloud", tube=0.005, size=_SMALL,
         frames=16)  # fmt: skip
-_stream("cloud_rope_front", Rope(seed=131, tilt=(0.5, 0.0), tempo=4), _line(ends="tips"), via="cloud", depth="m", noise=0.05)
+_stream(
+    "cloud_rope_front", Rope(seed=131, tilt=(0.5, 0.0), tempo=4), _line(ends="tips"), via="cloud", depth="m", noise=0.05
+)
 _stream("cloud_rope_gap", Rope(seed=132), _line(12), via="cloud", hands=(Hand(_MIDDLE, 10),), gone=(9, 10), depth="m")
 _stream("cloud_ring", Blob(seed=133, tilt=(0.3, 0.3)), _ring(24), via="cloud", tube=0.005, size=_SMALL, frames=16)
 _stream("cloud_sheet", Sheet(seed=134, roll=1.0), _grid(), via="cloud", cloud=2000, depth="m", frames=10)

@@ -1,4 +1,4 @@
-"""``python -m tests.golden.judge [NAME...] [--json]``: is each stream detected as before, and how far from the truth?"""
+"""``python -m tests.golden.judge [NAME...] [--json]``: is each stream detected as before, and how near the truth?"""
 
 from __future__ import annotations
 
@@ -51,12 +51,10 @@ class Score(NamedTuple):
 
 def differences(expected: Outcome, outcome: Outcome) -> list[str]:
     """Return in which fields detections differ by more than the tolerances, and where first; empty if they do not."""
-    unit = unit_of(expected)
-    found = []
+    if expected.visible.shape != outcome.visible.shape:
+        return [f"frames, shapes and points: {outcome.visible.shape}, not {expected.visible.shape}"]
+    unit, found = unit_of(expected), []
     for name, old, new in zip(Outcome._fields, expected, outcome, strict=True):
-        if old.shape != new.shape:
-            found.append(f"{name}: shape {new.shape} instead of {old.shape}")
-            continue
         if name in TOLERANCES or name == "sigma":
             absolute, share = _SIGMA[unit] if name == "sigma" else TOLERANCES[name]
             off = ~np.isclose(new, old, rtol=share, atol=absolute, equal_nan=True)

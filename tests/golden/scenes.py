@@ -15,9 +15,8 @@ import numpy.typing as npt
 from scipy.interpolate import LinearNDInterpolator
 
 from shape_obs import CameraModel, Intrinsics
-from tests.benchmarks.scenes.blobs import draw_blob
+from shape_obs.bench.scenes import draw_blob, draw_sheet
 from tests.benchmarks.scenes.hidden_ropes import see
-from tests.benchmarks.scenes.sheets import draw_sheet
 from tests.golden.streams import Stream, Truth, Via
 
 Array = npt.NDArray[Any]
@@ -350,7 +349,9 @@ def draw(
         via,
         shown,
         given["masks"] if via == "mask" else None,
-        given["depth"].astype(given["depth"].dtype if depth == "mm" else np.float32) if depth and via != "cloud" else None,
+        given["depth"].astype(given["depth"].dtype if depth == "mm" else np.float32)
+        if depth and via != "cloud"
+        else None,
         given.get("rgb"),
         given.get("clouds"),
         model if (depth and via != "cloud") or transform is not None else None,
@@ -380,7 +381,9 @@ def _composed(drawn: list[Layer], covers: list[tuple[Hand, Array]]) -> tuple[lis
     return hidden, (owner, depth, covered)
 
 
-def _measured(rng: np.random.Generator, depth: Array, near: Array, camera: Intrinsics, noise: float, holes: float) -> Array:
+def _measured(
+    rng: np.random.Generator, depth: Array, near: Array, camera: Intrinsics, noise: float, holes: float
+) -> Array:
     """Return depth as a stereo camera with a baseline of 95 mm measures it, where anything is near."""
     if noise:
         blurred = cv2.GaussianBlur(rng.normal(size=depth.shape), (0, 0), 1.0)
@@ -441,4 +444,5 @@ def _rays(camera: Intrinsics) -> Array:
 
 
 def _outside(pixels: Array, camera: Intrinsics) -> Array:
-    return ((pixels < -0.5) | (pixels > (camera.width - 0.5, camera.height - 0.5))).any(axis=1)
+    beyond = (pixels < -0.5) | (pixels > (camera.width - 0.5, camera.height - 0.5))
+    return np.any(beyond, axis=1)

@@ -120,13 +120,10 @@ def configurations(stream: Stream) -> tuple[Configuration, ...]:
 
 def play(stream: Stream) -> tuple[Outcome, float]:
     """Show a stream to a new detector; return its detections, and the milliseconds that a frame took."""
-    detector, found = ShapeDetector(**stream.arguments), []
+    detector, found = ShapeDetector(**stream.arguments), list[Detection | str]()
     begin = time.perf_counter()
     for frame in range(stream.frames):
-        try:
-            found.append(_detect(detector, stream, frame))
-        except ShapeLostError as error:
-            found.append(str(error))
+        found.append(_detect(detector, stream, frame))
     took = (time.perf_counter() - begin) / stream.frames * 1e3
     specs = detector.shapes
     slots = {spec.name: slot for slot, spec in enumerate(specs)}
@@ -147,18 +144,21 @@ def play(stream: Stream) -> tuple[Outcome, float]:
     return outcome, took
 
 
-def _detect(detector: ShapeDetector, stream: Stream, frame: int) -> Detection:
-    """Show one frame to the detector."""
+def _detect(detector: ShapeDetector, stream: Stream, frame: int) -> Detection | str:
+    """Show one frame to the detector; return what it found, or the message of a ``ShapeLostError``."""
     stamp = None if np.isnan(stream.stamps[frame]) else float(stream.stamps[frame])
     anchors = {name: tuple(map(float, places[frame])) for name, places in stream.anchors.items()} or None
     mask, depth, rgb, cloud = (
         None if each is None else each[frame] for each in (stream.masks, stream.depth, stream.rgb, stream.clouds)
     )
-    if cloud is not None:
-        return detector.detect_cloud(cloud, camera=stream.camera, stamp=stamp, anchors=anchors)
-    if mask is None:
-        return detector.detect(rgb, depth, stream.camera, stamp=stamp, anchors=anchors)
-    return detector.detect_mask(mask, depth, stream.camera, rgb=rgb, stamp=stamp, anchors=anchors)
+    try:
+        if cloud is not None:
+            return detector.detect_cloud(cloud, camera=stream.camera, stamp=stamp, anchors=anchors)
+        if mask is None:
+            return detector.detect(rgb, depth, stream.camera, stamp=stamp, anchors=anchors)
+        return detector.detect_mask(mask, depth, stream.camera, rgb=rgb, stamp=stamp, anchors=anchors)
+    except ShapeLostError as error:
+        return str(error)
 
 
 def _note(detection: Detection) -> str:
@@ -202,7 +202,7 @@ def save_stream(stream: Stream) -> None:
     """Store a stream: masks as bits, depth and clouds in whole numbers, the truth in single precision."""
     described: dict[str, Any] = {"arguments": stream.arguments, "via": stream.via, "anchored": stream.anchored}
     described["truth"] = [each.shape for each in stream.truth]
-    kept: dict[str, Array] = {"stamps": stream.stamps, **{f"anchor_{key}": at for key, at in stream.anchors.items()}}
+    kept: dict[str, Any] = {"stamps": stream.stamps, **{f"anchor_{key}": at for key, at in stream.anchors.items()}}
     if stream.masks is not None:
         described["size"] = stream.masks.shape
         kept["masks"] = np.packbits(stream.masks)
@@ -222,7 +222,8 @@ def save_stream(stream: Stream) -> None:
         kept[f"metres{k}"] = (np.round(each.metres * 2**14) / 2**14).astype(np.float32)
         kept[f"hidden{k}"] = each.hidden
     DATA.mkdir(exist_ok=True)
-    np.savez_compressed(DATA / f"{stream.name}.npz", described=np.array(json.dumps(described)), **kept)
+    kept["described"] = np.array(json.dumps(described))
+    np.savez_compressed(DATA / f"{stream.name}.npz", **kept)
 
 
 def load_stream(name: str) -> Stream:

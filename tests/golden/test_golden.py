@@ -29,7 +29,7 @@ def test_a_stream_is_detected_as_before_and_no_worse_against_the_truth(name: str
 
 def test_streams_and_their_detections_are_complete_and_small():
     assert len(NAMES) >= 60
-    assert NAMES == sorted(path.stem for path in EXPECTED.glob("*.npz"))
+    assert sorted(path.stem for path in EXPECTED.glob("*.npz")) == NAMES
     assert sum(path.stat().st_size for folder in (DATA, EXPECTED) for path in folder.glob("*.npz")) <= 5_000_000
 
 
@@ -62,7 +62,7 @@ def _put(at: tuple[int, ...], value: Any) -> Any:
 @pytest.mark.parametrize(
     ("field", "change"),
     [
-        ("points2d", lambda points: points + np.float32([0.06, 0])),
+        ("points2d", lambda points: points + np.float32(0.06)),
         ("points3d", _put((5, 0, 3, 2), 0.9)),
         ("points2d", lambda points: points[:, :, ::-1]),
         ("points3d", _put((7, 0, 2), np.nan)),
