@@ -20,7 +20,7 @@ import pytest
 from hypothesis import settings
 
 from shape_obs import CameraModel, Intrinsics
-from tests.benchmarks.scenes.ropes import Rope, draw_rope
+from shape_obs.bench.scenes import Rope, draw_rope
 
 cv2.setNumThreads(1)
 settings.register_profile("shape_obs", deadline=None, max_examples=30, derandomize=True)

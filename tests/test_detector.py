@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import CameraModel, Centerline, GrayRange, HSVRange, ShapeDetector
-from tests.benchmarks.scenes.ropes import KINDS, draw_rope, random_rope, resample
+from shape_obs.bench.scenes import draw_rope, resample
+from tests.benchmarks.scenes.ropes import KINDS, random_rope
 
 BLUE = HSVRange((100, 100, 60), (125, 255, 255))
 

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
+from shape_obs.bench.scenes import draw_sheet
 from shape_obs.geometry.topology import Chain, Grid, Ring
 from shape_obs.metrics import (
     calinski_harabasz,
@@ -22,7 +23,7 @@ from shape_obs.metrics import (
 )
 from tests.benchmarks.scenes.blobs import random_blob
 from tests.benchmarks.scenes.ropes import random_rope
-from tests.benchmarks.scenes.sheets import draw_sheet, random_sheet
+from tests.benchmarks.scenes.sheets import random_sheet
 
 
 def mask_pixels(mask: np.ndarray) -> np.ndarray:

@@ -12,9 +12,9 @@ from sheet import FIRST_KEY, HIDDEN_KEY, NO_DEPTH_KEY, VALID_KEY, Key, band, leg
 from stages import IMAGES, SIZE, cloth, enlarged, photograph, ring, rope
 
 from shape_obs import Centerline, Contour, Intrinsics, Shape, ShapeDetector, Surface
+from shape_obs.bench.scenes import draw_rope
 from shape_obs.drawing import HIDDEN, draw_detection
 from shape_obs.shape import Detection
-from tests.benchmarks.scenes.ropes import draw_rope
 
 Mask = np.ndarray
 PINHOLE = Intrinsics(SIZE[1], SIZE[0], 300.0, 300.0, 159.5, 119.5)

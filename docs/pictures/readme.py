@@ -15,8 +15,8 @@ from sheet import FIRST_KEY, GOAL_KEY, VALID_KEY, grid, legend, titled
 import shape_obs_envs  # noqa: F401
 from envs import goal_lines
 from shape_obs import Centerline, HSVRange, ShapeDetector, ShapeObservation
+from shape_obs.bench.scenes import draw_rope
 from shape_obs.drawing import GOAL, draw_detection
-from tests.benchmarks.scenes.ropes import draw_rope
 
 OUT = Path(__file__).parent.parent / "images" / "readme.gif"
 PANEL = slice(66, 370), slice(116, 528)  # rows and columns of images of 640 x 480

@@ -10,6 +10,7 @@ from scipy.spatial.distance import cdist
 from sheet import grid, save, titled
 
 from shape_obs import Centerline, Configuration, Contour, HSVRange, ShapeDetector, Surface
+from shape_obs.bench.scenes import draw_rope
 from shape_obs.configurations.base import Scene
 from shape_obs.drawing import draw_curve, draw_detection
 from shape_obs.frame import Frame
@@ -22,7 +23,6 @@ from shape_obs.image.find_region import find_region
 from shape_obs.image.region import Region
 from shape_obs.image.roi import Whole
 from shape_obs.initialization.medial_axis import medial_axis
-from tests.benchmarks.scenes.ropes import draw_rope
 
 IMAGES = Path(__file__).parent.parent / "images"
 SIZE = (240, 320)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from playwright.sync_api import Page, expect, sync_playwright
 
-from tests.benchmarks.scenes.ropes import draw_rope
+from shape_obs.bench.scenes import draw_rope
 
 ROOT = Path(__file__).parents[2]
 IMAGES = ROOT / "docs" / "images"

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from shape_obs import Contour, ShapeDetector
+from shape_obs.bench.scenes import draw_blob
 from tests.benchmarks.contour_claims import MOTIONS, drawn_blobs, flickering_blobs, outlines, turning_blobs
-from tests.benchmarks.scenes.blobs import draw_blob, garments
+from tests.benchmarks.scenes.blobs import garments
 
 GARMENTS = Path(__file__).parents[3] / "shared/data/real/garment_silhouettes.json"
 needs_garments = pytest.mark.skipif(not GARMENTS.exists(), reason="the garment silhouettes are not here")

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from tests.benchmarks.scenes.moving_ropes import moving_ropes
-from tests.benchmarks.scenes.rope_clearance import intersections
-from tests.benchmarks.scenes.rope_motions import MOTIONS
+from tests.benchmarks.scenes.layouts import intersections
+from tests.benchmarks.scenes.moving_ropes import MOTIONS, moving_ropes
 
 FASTEST = 15.0
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.benchmarks.scenes.rope_scores import judge
+from tests.benchmarks.rope_scores import judge
 from tests.benchmarks.scenes.several_ropes import several_ropes
 from tests.benchmarks.several_rope_peer import is_installed, peer_ropes
 

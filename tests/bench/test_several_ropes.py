@@ -5,10 +5,9 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from tests.benchmarks.scenes.rope_clearance import intersections
-from tests.benchmarks.scenes.rope_pictures import lift, relief
-from tests.benchmarks.scenes.rope_scores import judge, seen_axis, steps_off
-from tests.benchmarks.scenes.several_ropes import noisy_depth, several_ropes
+from tests.benchmarks.rope_scores import judge, seen_axis, steps_off
+from tests.benchmarks.scenes.layouts import intersections
+from tests.benchmarks.scenes.several_ropes import lift, noisy_depth, relief, several_ropes
 
 SIZES = ((480, 640), (672, 896))
 KINDS = [(2, 0, 0), (2, 2, 1), (2, 5, 0), (3, 1, 1), (3, 5, 0), (5, 0, 1), (5, 3, 0), (5, 6, 1)]
@@ -82,7 +81,7 @@ def test_the_upper_strand_is_drawn_on_top():
         for index, (curve, width) in enumerate(zip(scene.curves, scene.widths, strict=True)):
             at = [(c.first_at, c.first_above) for c in scene.crossings if c.first == index]
             at += [(c.second_at, not c.first_above) for c in scene.crossings if c.second == index]
-            lifts.append(lift(len(curve), [place for place, _ in at], [above for _, above in at], width))
+            lifts.append(lift(len(curve), at, width))
         top = relief(scene.curves, scene.widths, lifts, scene.mask.shape, np.array([0.0, 0.0, 1.0]))
         for crossing in scene.crossings:
             u, v = np.round((crossing.place + 0.5) * 2).astype(int)
@@ -100,14 +99,6 @@ def test_depth_shows_which_strand_is_above(scenes):
             width = 0.6 / 386 * max(scene.widths[crossing.first], scene.widths[crossing.second])
             # Two ropes lie over each other there.
             assert 0.6 - 2.3 * width < np.median(depth[v - 1 : v + 2, u - 1 : u + 2]) < 0.6 - 1.1 * width
-
-
-def test_touching_ropes_are_one_piece():
-    for seed in range(5):
-        scene = several_ropes(np.random.default_rng(seed), 2, 0, touching=True, leaving=0, soft=0, ragged=0)
-        one, other = scene.curves
-        gap = np.linalg.norm(one[:, None] - other[None], axis=2).min()
-        assert 0.1 * scene.widths[0] < gap < 1.15 * scene.widths[0]
 
 
 def test_ropes_leave_the_image_on_request():

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from shape_obs.bench.scenes import Sheet
 from shape_obs.cli import main
 from shape_obs.clustering.kmeans import KMeans
-from tests.benchmarks.scenes.sheets import Sheet
 from tests.benchmarks.table import methods
 from tests.benchmarks.table.frames import CONFIGURATIONS, OF, scenes
 from tests.benchmarks.table.methods import METHODS, Runner

@@ -10,15 +10,15 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.bench.scenes import Blob, moving_blob, resample
 from shape_obs.configurations.contour import Contour
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.outline import clockwise
 from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, equal_chords
 from tests.benchmarks import at_rest, cold, followed
-from tests.benchmarks.scenes.blobs import KINDS, Blob, moving_blob, random_blob
+from tests.benchmarks.scenes.blobs import KINDS, Garment, random_blob
 from tests.benchmarks.scenes.flat_objects import FlatScene, Motion, View, in_space, noisy_depth, ring, under_hand
-from tests.benchmarks.scenes.ropes import resample
 from tests.benchmarks.scores import SLIP, belief, outline_score, tally, tally_visible
 from tests.benchmarks.tables import Row, failures, mean, median, of, summary, worst
 
@@ -63,7 +63,8 @@ def outlines(blobs: Iterable[Blob], counts: Sequence[int] = COUNTS) -> Iterator[
         shape = cold(Contour(n=n), blob.mask)
         found = shape.pixels.astype(np.float64)
         coarse = _shift(blob.outline, found[0], n) > _COARSE
-        corners = [np.linalg.norm(found - corner, axis=1).min() / length for corner in blob.corners.values()]
+        keypoints = blob.corners.values() if isinstance(blob, Garment) else ()
+        corners = [np.linalg.norm(found - corner, axis=1).min() / length for corner in keypoints]
         scores = outline_score(found, blob.outline)
         yield Row(kind=blob.kind, n=n, coarse=coarse, ok=shape.ok, corners=corners, **scores)
 

@@ -17,6 +17,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.bench.photos import BLUE
+from shape_obs.bench.scenes import SIZE, draw_rope, draw_sheet
 from shape_obs.configurations.base import Configuration
 from shape_obs.configurations.centerline import Centerline
 from shape_obs.configurations.contour import Contour
@@ -25,9 +27,6 @@ from shape_obs.detector import ShapeDetector
 from shape_obs.utils.threads import one_thread
 from tests.benchmarks import Size
 from tests.benchmarks.interleaved_timing import Method, Timing, Turn, median_ms, time_methods
-from tests.benchmarks.scenes.images import BLUE
-from tests.benchmarks.scenes.ropes import SIZE, draw_rope
-from tests.benchmarks.scenes.sheets import draw_sheet
 from tests.benchmarks.scenes.streams import RGBD, classic, cloths, photo, pinhole, ropes, streams
 from tests.benchmarks.tables import Row, at_least, at_most, grouped, median
 

@@ -10,21 +10,16 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.bench.photos import BLUE, photographed
+from shape_obs.bench.scenes import Rope, moving_rope
 from shape_obs.configurations.centerline import Centerline
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.polyline import arc_length, resample
 from shape_obs.shape import Shape
 from tests.benchmarks import Mask, at_rest, cold, followed
-from tests.benchmarks.scenes.images import BLUE, Where, hidden_rope, photographed, ragged, salted
-from tests.benchmarks.scenes.ropes import (
-    BENDS,
-    KINDS,
-    Rope,
-    bending_rope,
-    bent_rope,
-    moving_rope,
-    random_rope,
-)
+from tests.benchmarks.scenes.hidden_ropes import Where, hidden_rope
+from tests.benchmarks.scenes.images import ragged, salted
+from tests.benchmarks.scenes.ropes import BENDS, KINDS, bend_radius, bending_rope, bent_rope, random_rope
 from tests.benchmarks.scenes.sheets import noisy
 from tests.benchmarks.scenes.tangles import Tangle, looped_rope
 from tests.benchmarks.scores import BOTH_ENDS, SLIP, faithfulness, score, tally
@@ -46,7 +41,7 @@ def drawn_ropes(per_kind: int, seed: int = 0) -> Iterator[Row]:
         for n, ends in product(COUNTS, BOTH_ENDS):
             shape = cold(Centerline(n=n, ends=ends), rope.mask)
             found = score(shape.pixels, rope.curve, ends, directed=False)
-            hairpin = rope.length / n > 2 * rope.bend_radius
+            hairpin = rope.length / n > 2 * bend_radius(rope)
             yield Row(kind=kind, n=n, ends=ends, hairpin=hairpin, ok=shape.ok, **found)
 
 

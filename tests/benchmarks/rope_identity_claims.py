@@ -14,8 +14,7 @@ from shape_obs.configurations.centerline import Centerline
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.polyline import arc_length
 from shape_obs.shape import Shape
-from tests.benchmarks.scenes.moving_ropes import Moment, moving_ropes
-from tests.benchmarks.scenes.rope_motions import MOTIONS, Motion
+from tests.benchmarks.scenes.moving_ropes import MOTIONS, Moment, Motion, moving_ropes
 from tests.benchmarks.tables import Row, median, summary
 
 Array = npt.NDArray[np.float64]

@@ -19,7 +19,7 @@ from shape_obs.geometry import crossings as geometry
 from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.shape import Detection
-from tests.benchmarks.scenes.rope_scores import judge
+from tests.benchmarks.rope_scores import judge
 from tests.benchmarks.scenes.several_ropes import Crossing, RopeScene, noisy_depth, several_ropes
 from tests.benchmarks.several_rope_peer import is_installed, peer_ropes
 from tests.benchmarks.tables import Row, at_least, at_most, median

@@ -9,22 +9,14 @@ from typing import Final, get_args
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.bench.scenes import Sheet, moving_sheet
 from shape_obs.configurations.base import Ends
 from shape_obs.configurations.surface import Surface
 from shape_obs.detector import ShapeDetector
 from shape_obs.shape import Shape
 from tests.benchmarks import at_rest, cold, followed
-from tests.benchmarks.scenes.flat_objects import (
-    FlatScene,
-    Hand,
-    Motion,
-    View,
-    cloth,
-    in_space,
-    noisy_depth,
-    under_hand,
-)
-from tests.benchmarks.scenes.sheets import Sheet, moving_sheet, noisy, random_sheet, turning_sheet
+from tests.benchmarks.scenes.flat_objects import FlatScene, Hand, Motion, View, cloth, in_space, noisy_depth, under_hand
+from tests.benchmarks.scenes.sheets import noisy, random_sheet, true_lattice, turning_sheet
 from tests.benchmarks.scores import BOTH_ENDS, SLIP, belief, off_lattice, tally, tally_visible
 from tests.benchmarks.tables import Row, failures, mean, median, of, summary
 
@@ -44,7 +36,7 @@ def score_sheet(points: npt.ArrayLike, sheet: Sheet, rows: int, cols: int, ends:
         distance of a point from its material, in gaps of the lattice along a row or a column; ``off``: all of these
         distances, (rows, cols, 2), down and across.
     """
-    true = Sheet(np.rot90(sheet.points, quarters), sheet.mask).lattice(rows, cols, ends)
+    true = true_lattice(np.rot90(sheet.points, quarters), rows, cols, ends)
     away = np.asarray(points, dtype=np.float64).reshape(true.shape) - true
     off = off_lattice(away, true)
     distance = np.linalg.norm(away, axis=-1)
@@ -210,7 +202,7 @@ def seen_points(scenes: Iterable[FlatScene], view: View, with_depth: bool) -> It
             continue  # not begun yet
         whole = np.concatenate([scene.points, scene.space, scene.hidden[..., None].astype(np.float64)], axis=2)
         found = np.asarray(shape.pixels, dtype=np.float64).reshape(4, 8, 2)
-        turned = [Sheet(np.rot90(whole, quarters), scene.mask).lattice(4, 8, "centers") for quarters in range(4)]
+        turned = [true_lattice(np.rot90(whole, quarters), 4, 8, "centers") for quarters in range(4)]
         if shape.track_id != name:  # a new track may begin at another corner
             apart = [np.linalg.norm(found - true[..., :2], axis=-1).mean() for true in turned]
             name, corner = shape.track_id, int(np.argmin(apart))

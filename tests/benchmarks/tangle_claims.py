@@ -21,7 +21,8 @@ from shape_obs.image.segmentation import Segmentation
 from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.shape import Shape
 from tests.benchmarks import Mask, cold
-from tests.benchmarks.scenes.tangles import Tangle, crossing_rope, cut_rope, is_traversed, touching_rope
+from tests.benchmarks.rope_scores import is_traversed
+from tests.benchmarks.scenes.tangles import Tangle, crossing_rope, cut_rope, touching_rope
 from tests.benchmarks.tables import Row, median
 
 SETS: Final[dict[str, Callable[[np.random.Generator], Tangle]]] = {

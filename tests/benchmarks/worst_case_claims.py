@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.bench.scenes import moving_blob, moving_rope, moving_sheet
 from shape_obs.camera import Intrinsics
 from shape_obs.configurations.base import Configuration
 from shape_obs.configurations.centerline import Centerline
@@ -22,9 +23,6 @@ from shape_obs.image.segmentation import GrayRange
 from shape_obs.shape import Detection, Shape
 from shape_obs.utils.threads import one_thread
 from tests.benchmarks import Size
-from tests.benchmarks.scenes.blobs import moving_blob
-from tests.benchmarks.scenes.ropes import moving_rope
-from tests.benchmarks.scenes.sheets import moving_sheet
 from tests.benchmarks.tables import Row, at_most, failures, grouped, of, summary, worst
 
 Mask = npt.NDArray[np.uint8]

@@ -12,9 +12,9 @@ import pytest
 import yaml
 from PIL import Image
 
+from shape_obs.bench.scenes import draw_rope
 from shape_obs.cli import main
 from shape_obs.drawing import GOAL, VALID
-from tests.benchmarks.scenes.ropes import draw_rope
 
 BLUE = (30, 60, 200)
 HSV = ["--hsv", "100", "100", "50", "130", "255", "255"]

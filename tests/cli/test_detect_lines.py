@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.benchmarks.scenes.ropes import draw_rope
+from shape_obs.bench.scenes import draw_rope
 
 HSV = ["--hsv", "100", "100", "50", "130", "255", "255"]
 MASKS = """

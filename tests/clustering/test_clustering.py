@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import Centerline, Contour, ShapeDetector, Surface
+from shape_obs.bench.scenes import Sheet, draw_blob, draw_sheet, moving_blob, moving_rope, moving_sheet
 from shape_obs.clustering.base import Clusterer
 from shape_obs.clustering.fcm import FuzzyCMeans
 from shape_obs.clustering.gmm import GaussianMixture
@@ -19,10 +20,9 @@ from shape_obs.clustering.kohonen import Kohonen
 from shape_obs.geometry.observed import Samples
 from shape_obs.geometry.topology import Chain, Grid
 from shape_obs.metrics import calinski_harabasz, distance, nearest, spacing_cv
-from tests.benchmarks.scenes.blobs import draw_blob, moving_blob, random_blob
+from tests.benchmarks.scenes.blobs import random_blob
 from tests.benchmarks.scenes.clouds import ring_cloud, rope_cloud, sheet_cloud
-from tests.benchmarks.scenes.ropes import moving_rope
-from tests.benchmarks.scenes.sheets import Sheet, draw_sheet, moving_sheet, random_sheet
+from tests.benchmarks.scenes.sheets import random_sheet
 from tests.benchmarks.scores import outline_score, score
 from tests.benchmarks.surface_claims import score_sheet
 

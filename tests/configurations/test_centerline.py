@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, ShapeDetector
+from shape_obs.bench.scenes import moving_rope
 from tests.benchmarks.rope_claims import bent_ropes, ropes_in_noise
-from tests.benchmarks.scenes.ropes import moving_rope
 
 
 @pytest.mark.parametrize("speed", [10, 40])

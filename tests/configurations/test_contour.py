@@ -11,12 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import Contour, ShapeDetector, SpecError
+from shape_obs.bench.scenes import draw_blob
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.outline import Outline, clockwise
 from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, catmull_rom, equal_chords
 from shape_obs.geometry.topology import Ring
 from shape_obs.metrics import spacing_cv
-from tests.benchmarks.scenes.blobs import KINDS, draw_blob, random_blob
+from tests.benchmarks.scenes.blobs import KINDS, random_blob
 from tests.benchmarks.scores import outline_score
 
 

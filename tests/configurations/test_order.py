@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, Configuration, Contour, ShapeDetector, Surface
+from shape_obs.bench.scenes import moving_blob, moving_rope
 from shape_obs.geometry.curve import FittedCurve
-from tests.benchmarks.scenes.blobs import moving_blob
-from tests.benchmarks.scenes.ropes import moving_rope
-from tests.benchmarks.scenes.sheets import turning_sheet
+from tests.benchmarks.scenes.sheets import true_lattice, turning_sheet
 
 
 class Frame(NamedTuple):
@@ -35,7 +34,7 @@ def blobs() -> Iterator[Frame]:
 
 def sheets() -> Iterator[Frame]:
     for sheet in turning_sheet(np.random.default_rng(4), 1.5, step=3.0):
-        lattice = sheet.lattice(4, 8, "tips")
+        lattice = true_lattice(sheet.points, 4, 8, "tips")
         yield Frame(sheet.mask, lattice[[0, 0, -1, -1], [0, -1, -1, 0]])
 
 

@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import Intrinsics, ShapeDetector, SpecError, Surface
-from tests.benchmarks.scenes.sheets import Sheet, draw_sheet, random_sheet, regular, rotation
+from shape_obs.bench.scenes import Sheet, draw_sheet, flat_cloth
+from tests.benchmarks.scenes.sheets import random_sheet, rotation, true_lattice
 from tests.benchmarks.surface_claims import (
     ASPECTS,
     drawn_sheets,
@@ -159,7 +160,7 @@ class TestNumbering:
         tracked, image = ShapeDetector([Surface()]), ShapeDetector([Surface()], order="image")
         firsts: list[list[np.ndarray]] = []
         for degrees in range(0, 100, 4):
-            mask = placed(regular(1.5), degrees, 0.8).mask
+            mask = placed(flat_cloth(1.5), degrees, 0.8).mask
             firsts.append([d.detect_mask(mask).shapes[0].pixels[0] for d in (tracked, image)])
         np.testing.assert_allclose(firsts[0][0], firsts[0][1])
         assert np.linalg.norm(firsts[-1][0] - firsts[-1][1]) > 100
@@ -263,7 +264,7 @@ class TestInSpace:
         shape = one(mask, Surface(ends="centers", **kwargs), depth=depth, camera=CAMERA)
         assert shape.ok, shape.reason
         assert shape.valid.all()
-        away = shape.points3d.reshape(4, 8, 3) - Sheet(points, mask).lattice(4, 8, "centers")
+        away = shape.points3d.reshape(4, 8, 3) - true_lattice(points, 4, 8, "centers")
         return 1e3 * float(np.linalg.norm(away, axis=-1).mean())
 
     def test_equal_in_metres(self, tilted):

@@ -268,7 +268,7 @@ class TestSegment:
 
     def test_points_from_the_search_are_those_of_the_rule(self):
         """A tracking detector finds the points to 0.3 px, in fact to the last digit."""
-        from tests.benchmarks.scenes.ropes import moving_rope
+        from shape_obs.bench.scenes import moving_rope
 
         rng = np.random.default_rng(9)
         by_colour, by_mask = ShapeDetector(segmentation=BLUE), ShapeDetector(segmentation=BLUE)

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from shape_obs.bench.scenes import draw_rope
 from shape_obs.image.rope_tip import extend_chain
-from tests.benchmarks.scenes.ropes import draw_rope
 
 SIZE, FINE = 400, 4  # pixels; cv2 draws at a fraction 1 / 2**FINE of a pixel
 LEFT, TOP = 30, -20  # of the mask in the image

@@ -10,6 +10,7 @@ import numpy.typing as npt
 import pytest
 from scipy.spatial import KDTree
 
+from shape_obs.bench.scenes import draw_rope, resample
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.image.find_region import find_region
 from shape_obs.image.region import Region
@@ -18,8 +19,9 @@ from shape_obs.initialization.folding import fold_outline
 from shape_obs.initialization.gaps import bridge
 from shape_obs.initialization.medial_axis import medial_axis
 from shape_obs.initialization.skeleton import skeleton_graph
-from tests.benchmarks.scenes.ropes import draw_rope, random_rope, resample
-from tests.benchmarks.scenes.tangles import Tangle, crossing_rope, cut_rope, is_traversed
+from tests.benchmarks.rope_scores import is_traversed
+from tests.benchmarks.scenes.ropes import random_rope
+from tests.benchmarks.scenes.tangles import Tangle, crossing_rope, cut_rope
 from tests.benchmarks.tables import Row
 from tests.benchmarks.tangle_claims import SETS, detected, tangled_ropes
 

@@ -12,7 +12,7 @@ from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
 from shape_obs.initialization.objects import SceneObject
 from shape_obs.initialization.ropes import find_ropes
-from tests.benchmarks.scenes.rope_scores import judge
+from tests.benchmarks.rope_scores import judge
 from tests.benchmarks.scenes.several_ropes import several_ropes
 
 Mask = npt.NDArray[np.uint8]

@@ -9,6 +9,7 @@ import pytest
 from scipy.signal import savgol_filter
 
 from shape_obs import CameraModel, Centerline, Frame, Intrinsics, ShapeDetector
+from shape_obs.bench.scenes import Rope, draw_rope
 from shape_obs.compiled import compiled
 from shape_obs.configurations.shape_points import shape_of
 from shape_obs.frame import DEPTH_TYPE, depth_images
@@ -19,7 +20,6 @@ from shape_obs.image.roi import Window
 from shape_obs.point_cloud.lifting import lift_form
 from shape_obs.point_cloud.strands import gather_lifted_cells
 from shape_obs.tracking.prediction import Fit
-from tests.benchmarks.scenes.ropes import Rope, draw_rope
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
 

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from shape_obs import Centerline, Contour, Intrinsics, ShapeDetector, ShapeObservation, SpecError, Surface
 from shape_obs.config.config_file import detector_arguments, load_config, save_config, schema_hash
 from shape_obs.geometry.intersections import find_crossings
+from tests.benchmarks.rope_scores import judge
 from tests.benchmarks.scenes.moving_ropes import moving_ropes
-from tests.benchmarks.scenes.rope_scores import judge
 from tests.benchmarks.scenes.several_ropes import several_ropes
 
 Mask = npt.NDArray[np.uint8]

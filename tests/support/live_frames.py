@@ -16,16 +16,18 @@ import numpy as np
 from numba.core import event
 
 from shape_obs import Centerline, Contour, HSVRange, Intrinsics, ShapeDetector, Surface
+from shape_obs.bench.photos import photographed
+from shape_obs.bench.scenes import moving_blob, moving_rope, moving_sheet
 from shape_obs.compiled import decorator
 from shape_obs.configurations.shape_points import SHAPE_FUNCTIONS
 from shape_obs.image.find_region import prepare
 from shape_obs.tracking.prediction import TRACK_FUNCTIONS
-from tests.benchmarks.scenes.blobs import moving_blob, random_blob
+from tests.benchmarks.scenes.blobs import random_blob
 from tests.benchmarks.scenes.clouds import moving_rope_cloud, ring_cloud, rope_cloud, sheet_cloud
 from tests.benchmarks.scenes.flat_objects import View, cloth, ring, under_hand
-from tests.benchmarks.scenes.images import hidden_rope, photographed
-from tests.benchmarks.scenes.ropes import moving_rope, random_rope
-from tests.benchmarks.scenes.sheets import moving_sheet, random_sheet
+from tests.benchmarks.scenes.hidden_ropes import hidden_rope
+from tests.benchmarks.scenes.ropes import random_rope
+from tests.benchmarks.scenes.sheets import random_sheet
 from tests.benchmarks.scenes.tangles import crossing_rope, cut_rope
 
 BLUE = HSVRange(low=(100, 80, 25), high=(130, 255, 255))

@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 
 from shape_obs import CameraModel, Intrinsics, ShapeObservation
-from tests.benchmarks.scenes.ropes import draw_rope
+from shape_obs.bench.scenes import draw_rope
 
 SIZE = (120, 160)
 INTRINSICS = Intrinsics(160, 120, 150.0, 150.0, 79.5, 59.5)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from shape_obs import ShapeDetector, Surface
+from shape_obs.bench.scenes import moving_sheet
 from shape_obs.compiled import compiled
 from shape_obs.geometry.coons import SIDE, side_lengths
 from shape_obs.tracking.corner_matching import (
@@ -24,7 +25,7 @@ from shape_obs.tracking.corner_matching import (
     match_corners,
 )
 from shape_obs.tracking.validation import validate_sheet
-from tests.benchmarks.scenes.sheets import Sheet, moving_sheet
+from tests.benchmarks.scenes.sheets import true_lattice
 
 
 @pytest.mark.parametrize("radius", [12, 30])
@@ -33,14 +34,14 @@ def test_a_covered_corner_is_put_back_and_is_not_visible(radius, corner):
     detector = ShapeDetector([Surface(rows=4, cols=8, ends="tips")], max_age=1.0)
     first = None
     for index, sheet in enumerate(moving_sheet(np.random.default_rng(3), 4, 40)):
-        true = sheet.lattice(4, 8, "tips")
+        true = true_lattice(sheet.points, 4, 8, "tips")
         covered = 15 <= index < 30
         mask = sheet.mask.copy()
         if covered:
             cv2.circle(mask, np.rint(true[corner]).astype(int).tolist(), radius, 0, -1)
         shape = detector.detect_mask(mask).shapes[0]
         assert not shape.reason, index
-        places = [Sheet(np.rot90(sheet.points, k), mask).lattice(4, 8, "tips") for k in range(4)]
+        places = [true_lattice(np.rot90(sheet.points, k), 4, 8, "tips") for k in range(4)]
         found = shape.pixels.reshape(4, 8, 2)
         if first is None:  # whichever corner the image calls the first, it stays the first
             first = int(np.argmin([np.abs(place - found).max() for place in places]))

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, Intrinsics, ShapeDetector
+from shape_obs.bench.scenes import draw_rope
 from shape_obs.frame import depth_images
 from shape_obs.geometry.polyline import arc_length
 from shape_obs.tracking.occluders import FREE, HIDDEN, chain_evidence
-from tests.benchmarks.scenes.ropes import draw_rope
 
 CAMERA = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
 TABLE, ROPE, HAND = 0.6, 0.585, 0.5

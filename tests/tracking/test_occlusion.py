@@ -8,8 +8,7 @@ import pytest
 from shape_obs import Centerline, ShapeDetector
 from tests.benchmarks.motion_claims import track
 from tests.benchmarks.rope_claims import ropes_under_hands
-from tests.benchmarks.scenes.hidden_ropes import Cover, hidden_ropes
-from tests.benchmarks.scenes.images import hidden_rope
+from tests.benchmarks.scenes.hidden_ropes import Cover, hidden_rope, hidden_ropes
 from tests.benchmarks.tables import Row
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, Intrinsics, Shape, ShapeDetector
+from shape_obs.bench.scenes import draw_rope
 from shape_obs.geometry.curve import FittedCurve, Length, TrackHints
 from shape_obs.geometry.polyline import resample
 from shape_obs.geometry.topology import Chain
@@ -15,7 +16,6 @@ from shape_obs.tracking.occlusion import match_chain
 from shape_obs.tracking.placement import beyond_rest, place, settled, slid
 from shape_obs.tracking.predicted_rope import PredictedRope, oriented
 from shape_obs.tracking.prediction import Prediction
-from tests.benchmarks.scenes.ropes import draw_rope
 
 NODES = 16
 

@@ -11,13 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import Contour, Intrinsics, ShapeDetector
+from shape_obs.bench.scenes import draw_blob
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.topology import Ring
 from shape_obs.tracking.prediction import Prediction
 from shape_obs.tracking.registration import blend, index_shift, match_outline, renumber_outline
 from shape_obs.tracking.registration_in_space import blend_space, index_shift_space
-from tests.benchmarks.scenes.blobs import draw_blob, random_blob
+from tests.benchmarks.scenes.blobs import random_blob
 
 
 def one(mask: np.ndarray, detector: ShapeDetector | None = None) -> Any:

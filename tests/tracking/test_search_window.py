@@ -10,10 +10,9 @@ import pytest
 
 from shape_obs import Centerline, Contour, HSVRange, ShapeDetector, Surface
 from shape_obs import detector as detector_module
+from shape_obs.bench.photos import photographed
+from shape_obs.bench.scenes import moving_rope, moving_sheet
 from shape_obs.tracking import search_window
-from tests.benchmarks.scenes.images import photographed
-from tests.benchmarks.scenes.ropes import moving_rope
-from tests.benchmarks.scenes.sheets import moving_sheet
 
 BLUE = HSVRange(low=(100, 80, 25), high=(130, 255, 255), open=3, close=3)
 FRAMES = 25

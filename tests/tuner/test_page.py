@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from shape_obs import load_config, save_config
+from shape_obs.bench.scenes import draw_rope
 from shape_obs.cli import main
-from tests.benchmarks.scenes.ropes import draw_rope
 
 pytest.importorskip("nicegui")
 sync_api = pytest.importorskip("playwright.sync_api")

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from tests.benchmarks.scenes.ropes import resample
+from shape_obs.bench.scenes import resample
 
 Array = npt.NDArray[np.float64]
 Side = Literal["all", "front"]

@@ -1,28 +1,29 @@
-"""Draw ropes with depth, in a plane or in space, while hands, shadows, bars and the image's border hide a part of them.
+"""Draw ropes, in a plane or in space, while hands, shadows, bars and the image's border hide a part of them.
 
-What hides a rope grows from nothing, at any speed. The rope is a tube in front of a wall, or of nothing that returns
-depth, made of balls; its mask and its depth are drawn together.
+What hides a rope grows from nothing, at any speed. A rope with depth is a tube in front of a wall, or of nothing that
+returns depth, made of balls; its mask and its depth are drawn together.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from itertools import repeat
 from typing import Any, Final, Literal, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.bench.scenes import Rope, moving_curve, moving_rope, resample, rotation
 from shape_obs.camera import Intrinsics
 from shape_obs.compiled import compiled
-from tests.benchmarks.scenes.ropes import moving_curve, resample, rotation
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
 Depth = npt.NDArray[np.float32]
 Cover = Literal["hand", "shadow", "bar", "border"]
-
+Where = Literal["start", "end", "middle"]
 _FINER: Final = 4  # supersampling in each direction
 _NEARER: Final = 0.08  # metres from a hand or a bar to the rope
 _HAND: Final = (40.0, 80.0)  # radius in pixels
@@ -37,8 +38,45 @@ _WIDE: Final = 640
 _BEHIND: Final = 0.3  # metres from the farthest point of a rope in space to the wall
 
 
+class Hidden(NamedTuple):
+    """One frame of a rope under a hand.
+
+    Args:
+        rope: The rope with its whole mask.
+        mask: The visible part of the mask, ``(H, W)`` uint8.
+        share: Covered share of the rope's length.
+    """
+
+    rope: Rope
+    mask: Mask
+    share: float
+
+
+def hidden_rope(
+    rng: np.random.Generator, speed: float, share: float, where: Where, *, creep: int = 0, frames: int = 180
+) -> Iterator[Hidden]:
+    """Draw a moving rope with a hand, 34 px wide, over a part of it during the middle three fifths of the frames.
+
+    Args:
+        rng: Draws the motion.
+        speed: Speed of the fastest point in pixels per frame.
+        share: Share of the length that the hand covers.
+        where: The covered part.
+        creep: Frames over which the hand comes and goes; 0 at once.
+        frames: Number of frames.
+    """
+    for index, rope in enumerate(moving_rope(rng, speed, frames)):
+        inside = min(index - 0.2 * frames, 0.8 * frames - index)
+        under = share * float(np.clip((inside + 1) / (creep + 1), 0, 1))
+        mask, count = rope.mask.copy(), round(under * len(rope.curve))
+        if count >= 2:
+            first = {"start": 0, "end": len(rope.curve) - count, "middle": (len(rope.curve) - count) // 2}[where]
+            cv2.polylines(mask, [np.rint(rope.curve[first : first + count]).astype(np.int32)], False, (0,), 34)
+        yield Hidden(rope, mask, under)
+
+
 class Seen(NamedTuple):
-    """One frame of a rope.
+    """One frame of a rope with depth.
 
     Args:
         pixels: ``(P, 2)`` its axis from tip to tip at equal steps of material.
@@ -64,6 +102,133 @@ def camera_of(size: tuple[int, int]) -> Intrinsics:
     return Intrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
 
 
+def hidden_ropes(
+    rng: np.random.Generator,
+    cover: Cover,
+    approach: float,
+    speed: float,
+    *,
+    share: float = 0.3,
+    size: tuple[int, int] = (480, 640),
+    table: bool = True,
+) -> Iterator[Seen]:
+    """Draw a rope that wanders and bends in a plane while something comes over it, stays, and goes.
+
+    Args:
+        rng: Draws the motions.
+        cover: What hides the rope: a round hand over an end, a shadow, a bar that crosses the image, or the image's
+            border, over which the rope slides.
+        approach: Pixels per frame of an image 640 wide, at which it comes and goes.
+        speed: Of the rope's fastest point, pixels per frame; 0 for a rope at rest.
+        share: Of the length that a hand hides or that slides out.
+        size: Of the image, ``(H, W)``.
+        table: Whether what lies behind the rope returns depth.
+    """
+    camera, scale, width = camera_of(size), size[1] / _WIDE, float(rng.uniform(7, 13))
+    motion = moving_curve(rng, speed, 100_000, width=width)
+    curve = next(motion)
+    hide = {"hand": _hand, "shadow": _hand, "bar": _bar, "border": _border}[cover](rng, curve)
+    state, radius, behind = _Hiding(), width / 2 * scale / camera.fx * _PLANE, _PLANE + _TABLE if table else 0.0
+    places = np.stack(np.meshgrid(np.arange(size[1]), np.arange(size[0])), axis=-1) / scale
+
+    def distances() -> Iterator[float]:
+        """Yield how far something has come in each frame: it is away, comes, stays, goes, and is gone."""
+        yield from repeat(0.0, _AWAY)
+        distance = 0.0
+        while state.hidden < share and not state.past:
+            distance += approach
+            yield distance
+        if not state.past:
+            yield from repeat(distance, _STAYS)
+            while distance > 0:
+                distance -= approach
+                yield max(distance, 0.0)
+        yield from repeat(distance, _AWAY)
+
+    for distance in distances():
+        state = hide(curve, distance)
+        moved = resample(curve + (state.slid, 0.0), 1.0) * scale
+        over = None if state.covers is None else state.covers(places).astype(np.uint8) * 255
+        yield see(camera.rays(moved) * _PLANE, radius, camera, behind, over, 0.0 if cover == "shadow" else _NEARER)
+        curve = next(motion)
+
+
+class _Hiding(NamedTuple):
+    """What hides a rope in a frame.
+
+    Args:
+        hidden: Share of the rope that a hand or the border hides.
+        past: Whether it has passed the rope.
+        covers: Whether it covers points: (..., 2) pixels of an image 640 wide -> (...) bool; None for nothing.
+        slid: How far the rope has slid to the right in pixels.
+    """
+
+    hidden: float = 0.0
+    past: bool = False
+    covers: Callable[[Array], npt.NDArray[np.bool_]] | None = None
+    slid: float = 0.0
+
+
+_Hider = Callable[[Array, float], _Hiding]  # takes the rope's axis and how far something has come, in pixels
+
+
+def _hand(rng: np.random.Generator, curve: Array) -> _Hider:
+    """Return a disc that comes over an end from ahead, at an angle."""
+    end, radius, turn = int(rng.integers(2)), float(rng.uniform(*_HAND)), rotation(rng.uniform(-0.7, 0.7))
+
+    def hide(curve: Array, distance: float) -> _Hiding:
+        tip, before = (curve[-1], curve[-21]) if end else (curve[0], curve[20])
+        out = turn @ (tip - before) / np.linalg.norm(tip - before)
+        middle = tip + out * (radius + _CLEAR - distance)
+
+        def covers(points: Array) -> npt.NDArray[np.bool_]:
+            return np.linalg.norm(points - middle, axis=-1) < radius
+
+        return _Hiding(float(np.mean(covers(curve))), distance > 2 * radius + 400, covers if distance else None)
+
+    return hide
+
+
+def _bar(rng: np.random.Generator, curve: Array) -> _Hider:
+    """Return a band that crosses the image at an angle."""
+    breadth, angle = float(rng.uniform(40, 200)), float(rng.uniform(0, 2 * np.pi))
+    way = np.array([np.cos(angle), np.sin(angle)])
+    start = float((curve @ way).min()) - breadth / 2 - _CLEAR
+
+    def hide(curve: Array, distance: float) -> _Hiding:
+        at = start + distance
+        past = at > float((curve @ way).max()) + breadth / 2 + _CLEAR
+        return _Hiding(0.0, past, lambda points: np.abs(points @ way - at) < breadth / 2)
+
+    return hide
+
+
+def _border(rng: np.random.Generator, curve: Array) -> _Hider:
+    """Return the left or right border of the image, over which the rope slides."""
+    right = int(rng.integers(2))
+    room = float(_WIDE - 1 - curve[:, 0].max() if right else curve[:, 0].min())
+
+    def hide(curve: Array, distance: float) -> _Hiding:
+        slid = (room - 2 * _CLEAR + distance) * (1 if right else -1)
+        column = curve[:, 0] + slid
+        return _Hiding(float(np.mean((column < 0) | (column > _WIDE - 1))), slid=slid)
+
+    return hide
+
+
+def swinging_ropes(curves: Iterable[Array], radius: float, camera: Intrinsics, wall: bool) -> Iterator[Seen]:
+    """Draw the frames of a rope in space, ``(P, 3)`` metres each, in front of a wall or of nothing."""
+    for curve in curves:
+        yield see(curve, radius, camera, float(curve[:, 2].max()) + _BEHIND if wall else 0.0)
+
+
+def with_noise(seen: Seen, measure: Any, rng: np.random.Generator) -> Seen:
+    """Return a frame with the depth that a noisy camera measures: ``measure(metres, rgb, rng)``."""
+    rgb = np.full((*seen.mask.shape, 3), 150, np.uint8)
+    metres, _ = measure(seen.depth, rgb, rng)
+    return seen._replace(depth=np.round(np.nan_to_num(metres), 3).astype(np.float32))
+
+
 def see(
     axis: Array, radius: float, camera: Intrinsics, behind: float, cover: Mask | None = None, nearer: float = _NEARER
 ) -> Seen:
@@ -79,11 +244,9 @@ def see(
     """
     height, width = camera.height, camera.width
     pixels = camera.project(axis)
-    step = float(np.linalg.norm(axis[1] - axis[0]))
-    inset = round(radius / step)
+    inset = round(radius / float(np.linalg.norm(axis[1] - axis[0])))
     balls = resample(axis[inset : len(axis) - inset], _PIECE * radius)
-    thick = 2 * radius * camera.fx / balls[:, 2]
-    reach = float(thick.max()) / 2 + 2
+    reach = radius * camera.fx / float(balls[:, 2].min()) + 2
     left, top = np.clip(np.floor(pixels.min(axis=0) - reach), 0, (width, height)).astype(int)
     right, bottom = np.clip(np.ceil(pixels.max(axis=0) + reach), 0, (width, height)).astype(int)
     mask, depth = np.zeros((height, width), np.uint8), np.full((height, width), behind, np.float32)
@@ -142,142 +305,3 @@ def draw_balls(canvas: Depth, places: Array, z: Array, radius: float, focal: flo
                 square = 1 - ((u - x) ** 2 + (v - y) ** 2) / reach**2
                 if square >= 0:
                     canvas[v, u] = min(canvas[v, u], z[b] - radius * math.sqrt(square))
-
-
-def hidden_ropes(
-    rng: np.random.Generator,
-    cover: Cover,
-    approach: float,
-    speed: float,
-    *,
-    share: float = 0.3,
-    size: tuple[int, int] = (480, 640),
-    table: bool = True,
-) -> Iterator[Seen]:
-    """Draw a rope that wanders and bends in a plane while something comes over it, stays, and goes.
-
-    Args:
-        rng: Draws the motions.
-        cover: What hides the rope: a round hand over an end, a shadow, a bar that crosses the image, or the image's
-            border, over which the rope slides.
-        approach: Pixels per frame of an image 640 wide, at which it comes and goes.
-        speed: Of the rope's fastest point, pixels per frame; 0 for a rope at rest.
-        share: Of the length that a hand hides or that slides out.
-        size: Of the image, ``(H, W)``.
-        table: Whether what lies behind the rope returns depth.
-    """
-    camera, scale = camera_of(size), size[1] / 640
-    width = float(rng.uniform(7, 13))
-    motion = moving_curve(rng, speed, 100_000, width=width)
-    curve = next(motion)
-    hider = _HIDERS[cover](rng, curve)
-    radius, behind = width / 2 * scale / camera.fx * _PLANE, _PLANE + _TABLE if table else 0.0
-    for distance in _schedule(hider, approach, share):
-        hider.move(curve, distance)
-        moved = resample(curve + hider.offset, 1.0) * scale
-        drawn = hider.mask(size, scale)
-        yield see(camera.rays(moved) * _PLANE, radius, camera, behind, drawn, 0.0 if cover == "shadow" else _NEARER)
-        curve = next(motion)
-
-
-def _schedule(hider: _Hider, approach: float, share: float) -> Iterator[float]:
-    """Yield how far something has come in each frame: it is away, comes, stays, goes, and is gone."""
-    yield from (0.0 for _ in range(_AWAY))
-    distance = 0.0
-    while hider.hidden < share and not hider.past:
-        distance += approach
-        yield distance
-    if not hider.past:
-        yield from (distance for _ in range(_STAYS))
-        while distance > 0:
-            distance -= approach
-            yield max(distance, 0.0)
-    yield from (distance for _ in range(_AWAY))
-
-
-class _Hider:
-    """What hides a rope: its place, the share of the rope that it hides, and whether it has passed."""
-
-    offset: Array = np.zeros(2)
-    hidden, past = 0.0, False
-
-    def move(self, curve: Array, distance: float) -> None:
-        """Move to where it is in this frame, ``distance`` pixels from where it was away."""
-        raise NotImplementedError
-
-    def mask(self, size: tuple[int, int], scale: float) -> Mask | None:
-        """Return the pixels that it covers in an image of ``size``, ``scale`` times as large as 640 x 480."""
-        return None
-
-
-class _Hand(_Hider):
-    """A disc that comes over an end from ahead, at an angle."""
-
-    def __init__(self, rng: np.random.Generator, curve: Array) -> None:
-        self._end, self._radius, aside = int(rng.integers(2)), float(rng.uniform(*_HAND)), rng.uniform(-0.7, 0.7)
-        self._turn, self._middle, self._distance = rotation(aside), np.zeros(2), 0.0
-
-    def move(self, curve: Array, distance: float) -> None:
-        tip, before = (curve[-1], curve[-21]) if self._end else (curve[0], curve[20])
-        out = self._turn @ (tip - before) / np.linalg.norm(tip - before)
-        self._middle, self._distance = tip + out * (self._radius + _CLEAR - distance), distance
-        self.hidden = float(np.mean(np.linalg.norm(curve - self._middle, axis=1) < self._radius))
-        self.past = distance > 2 * self._radius + 400
-
-    def mask(self, size: tuple[int, int], scale: float) -> Mask | None:
-        if not self._distance:
-            return None
-        out = np.zeros(size, np.uint8)
-        place = np.rint(self._middle * scale * 16).astype(int).tolist()
-        cv2.circle(out, place, round(self._radius * scale * 16), (255.0,), -1, shift=4)
-        return out
-
-
-class _Bar(_Hider):
-    """A band that crosses the image at an angle."""
-
-    def __init__(self, rng: np.random.Generator, curve: Array) -> None:
-        self._breadth, angle = float(rng.uniform(40, 200)), float(rng.uniform(0, 2 * np.pi))
-        self._way = np.array([np.cos(angle), np.sin(angle)])
-        self._start = float((curve @ self._way).min()) - self._breadth / 2 - _CLEAR
-        self._at = self._start
-
-    def move(self, curve: Array, distance: float) -> None:
-        self._at = self._start + distance
-        self.past = self._at > float((curve @ self._way).max()) + self._breadth / 2 + _CLEAR
-
-    def mask(self, size: tuple[int, int], scale: float) -> Mask | None:
-        v, u = np.mgrid[: size[0], : size[1]]
-        across = (u * self._way[0] + v * self._way[1]) / scale - self._at
-        return (np.abs(across) < self._breadth / 2).astype(np.uint8) * 255
-
-
-class _Border(_Hider):
-    """The left or right border of the image, over which the rope slides."""
-
-    def __init__(self, rng: np.random.Generator, curve: Array) -> None:
-        self._right = int(rng.integers(2))
-        room = _WIDE - 1 - curve[:, 0].max() if self._right else curve[:, 0].min()
-        self._begin = float(room) - 2 * _CLEAR
-
-    def move(self, curve: Array, distance: float) -> None:
-        slid = self._begin + distance
-        self.offset = np.array([slid if self._right else -slid, 0.0])
-        column = curve[:, 0] + self.offset[0]
-        self.hidden = float(np.mean((column < 0) | (column > _WIDE - 1)))
-
-
-_HIDERS: Final = {"hand": _Hand, "shadow": _Hand, "bar": _Bar, "border": _Border}
-
-
-def swinging_ropes(curves: Iterable[Array], radius: float, camera: Intrinsics, wall: bool) -> Iterator[Seen]:
-    """Draw the frames of a rope in space, ``(P, 3)`` metres each, in front of a wall or of nothing."""
-    for curve in curves:
-        yield see(curve, radius, camera, float(curve[:, 2].max()) + _BEHIND if wall else 0.0)
-
-
-def with_noise(seen: Seen, measure: Any, rng: np.random.Generator) -> Seen:
-    """Return a frame with the depth that a noisy camera measures: ``measure(metres, rgb, rng)``."""
-    rgb = np.full((*seen.mask.shape, 3), 150, np.uint8)
-    metres, _ = measure(seen.depth, rgb, rng)
-    return seen._replace(depth=np.round(np.nan_to_num(metres), 3).astype(np.float32))

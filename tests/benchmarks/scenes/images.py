@@ -1,4 +1,4 @@
-"""Draw images of ropes and sheets: disturbed masks, photos in uneven light, a hand over a rope, and depth at a slant.
+"""Disturb masks, and draw ropes and sheets at a slant with all faults of depth.
 
 The depth images have noise, holes and flying pixels: at the object's border, pixels mix the depths of the object and of
 the table behind it, or lie farther behind.
@@ -6,28 +6,19 @@ the table behind it, or lie farther behind.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final, Literal, NamedTuple
+from typing import Final
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.bench.scenes import blank, covered, subpixel
 from shape_obs.camera import Intrinsics
-from shape_obs.image.segmentation import HSVRange
-from tests.benchmarks.scenes.ropes import Kind, Rope, blank, covered, moving_rope, random_rope, subpixel
+from tests.benchmarks.scenes.ropes import Kind, bend_radius, random_rope
 
-Mask = npt.NDArray[np.uint8]
-Image = npt.NDArray[np.uint8]
-# Segments the objects of ``photographed``.
-BLUE: Final = HSVRange(low=(100, 80, 25), high=(130, 255, 255))
-_ROPE: Final = (40.0, 80.0, 200.0)
-_TABLE: Final = (150.0, 150.0, 145.0)
 Array = npt.NDArray[np.float64]
-Where = Literal["start", "end", "middle"]
-_HAND: Final = 34.0  # width of the hand in pixels
-_AWAY: Final = 0.2  # share of the frames before the hand arrives, and after it has left
+Mask = npt.NDArray[np.uint8]
 CAMERA: Final = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
 _LEAN: Final = (np.radians(30), np.radians(45))
 _DEPTH_NOISE: Final = 0.0015  # metres
@@ -44,73 +35,9 @@ def salted(rng: np.random.Generator, mask: Mask, share: float) -> Mask:
 
 def ragged(rng: np.random.Generator, mask: Mask, depth: float) -> Mask:
     """Move the border of a mask in and out by ``depth`` pixels rms, in bites about five pixels long."""
-    inside = cv2.distanceTransform(mask, cv2.DIST_L2, 5)
-    outside = cv2.distanceTransform(255 - mask, cv2.DIST_L2, 5)
+    inside, outside = (cv2.distanceTransform(part, cv2.DIST_L2, 5) for part in (mask, 255 - mask))
     bites = cv2.GaussianBlur(rng.normal(size=mask.shape).astype(np.float32), (0, 0), 2.0)
-    bites *= depth / float(bites.std())
-    return np.where(inside - outside > bites, 255, 0).astype(np.uint8)
-
-
-def photographed(rng: np.random.Generator, mask: Mask, contrast: float, noise: float) -> Image:
-    """Draw a blue rope on a gray table as an ``(H, W, 3)`` uint8 RGB image.
-
-    Args:
-        rng: Draws the direction of the light and the noise.
-        mask: The rope, ``(H, W)``.
-        contrast: Ratio of the light in the brightest corner of the image to the light in the darkest one.
-        noise: RMS noise of the image in gray levels.
-    """
-    height, width = mask.shape
-    angle = rng.uniform(0, 2 * np.pi)
-    v, u = np.mgrid[:height, :width]
-    along = u / width * np.cos(angle) + v / height * np.sin(angle)
-    along = (along - along.min()) / np.ptp(along)
-    light = contrast ** (along - 1.0)
-    scene = np.where(mask[..., None] > 0, _ROPE, _TABLE) * light[..., None]
-    return np.clip(np.rint(scene + rng.normal(0, noise, scene.shape)), 0, 255).astype(np.uint8)
-
-
-class Hidden(NamedTuple):
-    """One frame of a rope under a hand.
-
-    Args:
-        rope: The rope with its whole mask.
-        mask: The visible part of the mask, ``(H, W)`` uint8.
-        share: Covered share of the rope's length.
-    """
-
-    rope: Rope
-    mask: npt.NDArray[np.uint8]
-    share: float
-
-
-def hidden_rope(
-    rng: np.random.Generator, speed: float, share: float, where: Where, *, creep: int = 0, frames: int = 180
-) -> Iterator[Hidden]:
-    """Draw a moving rope with a hand over a part of it during the middle three fifths of the frames.
-
-    Args:
-        rng: Draws the motion.
-        speed: Speed of the fastest point in pixels per frame.
-        share: Share of the length that the hand covers.
-        where: The covered part.
-        creep: Frames over which the hand comes and goes; 0 at once.
-        frames: Number of frames.
-    """
-    for index, rope in enumerate(moving_rope(rng, speed, frames)):
-        inside = min(index - _AWAY * frames, (1 - _AWAY) * frames - index)
-        covered = share * float(np.clip((inside + 1) / (creep + 1), 0, 1))
-        yield Hidden(rope, _under_hand(rope, covered, where), covered)
-
-
-def _under_hand(rope: Rope, share: float, where: Where) -> npt.NDArray[np.uint8]:
-    mask = rope.mask.copy()
-    count = round(share * len(rope.curve))
-    if count >= 2:
-        first = {"start": 0, "end": len(rope.curve) - count, "middle": (len(rope.curve) - count) // 2}[where]
-        line = np.rint(rope.curve[first : first + count]).astype(np.int32)
-        cv2.polylines(mask, [line], False, 0, round(_HAND))
-    return mask
+    return np.where(inside - outside > bites * depth / float(bites.std()), 255, 0).astype(np.uint8)
 
 
 @dataclass(frozen=True)
@@ -157,7 +84,7 @@ def tilted_rope(rng: np.random.Generator, kind: Kind = "smooth") -> TiltedRope:
     normal, point = _plane(rng, 0.9)
     rays = CAMERA.rays(rope.curve)
     curve = rays * ((point @ normal) / (rays @ normal))[:, None]
-    return TiltedRope(rope.mask, _depth(rng, rope.mask, normal, point), curve, rope.length / 20 > 2 * rope.bend_radius)
+    return TiltedRope(rope.mask, _depth(rng, rope.mask, normal, point), curve, rope.length / 20 > 2 * bend_radius(rope))
 
 
 def tilted_sheet(rng: np.random.Generator) -> TiltedSheet:
@@ -169,7 +96,7 @@ def tilted_sheet(rng: np.random.Generator) -> TiltedSheet:
     right, down = np.cos(turn) * right + np.sin(turn) * down, np.cos(turn) * down - np.sin(turn) * right
     corners = np.array([point + x * 0.18 * right + y * 0.12 * down for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
     canvas = blank((480, 640))
-    cv2.fillPoly(canvas, [subpixel(CAMERA.project(corners))], 255, shift=8)
+    cv2.fillPoly(canvas, [subpixel(CAMERA.project(corners))], (255,), shift=8)
     mask = covered(canvas)
     return TiltedSheet(mask, _depth(rng, mask, normal, point), corners)
 

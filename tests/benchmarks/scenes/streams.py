@@ -11,6 +11,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.bench.photos import BLUE, photographed
+from shape_obs.bench.scenes import Rope, Sheet, draw_rope, draw_sheet, moving_blob, moving_rope, moving_sheet
 from shape_obs.camera import Intrinsics
 from shape_obs.configurations.base import Configuration
 from shape_obs.configurations.centerline import Centerline
@@ -18,10 +20,6 @@ from shape_obs.configurations.contour import Contour
 from shape_obs.configurations.surface import Surface
 from shape_obs.detector import ShapeDetector
 from tests.benchmarks import Size
-from tests.benchmarks.scenes.blobs import moving_blob
-from tests.benchmarks.scenes.images import BLUE, photographed
-from tests.benchmarks.scenes.ropes import Rope, draw_rope, moving_rope
-from tests.benchmarks.scenes.sheets import Sheet, draw_sheet, moving_sheet
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.bench.scenes import rotation
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.markers import MarkerLayout
 from shape_obs.markers.finder import dictionary_named
-from tests.benchmarks.scenes.ropes import rotation
 
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]

@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.bench.photos import BLUE, photographed
+from shape_obs.bench.scenes import Sheet, border_of, draw_sheet, moving_sheet
 from shape_obs.configurations.base import Configuration
 from shape_obs.configurations.centerline import Centerline
 from shape_obs.configurations.contour import Contour
@@ -23,8 +25,6 @@ from shape_obs.image.segmentation import Segmentation
 from shape_obs.metrics import in_order
 from tests.benchmarks import Clock
 from tests.benchmarks.interleaved_timing import CLOCKS, timed
-from tests.benchmarks.scenes.images import BLUE, photographed
-from tests.benchmarks.scenes.sheets import Sheet, border_of, draw_sheet, moving_sheet
 from tests.benchmarks.scenes.streams import outline_pixels
 from tests.benchmarks.tables import Row
 

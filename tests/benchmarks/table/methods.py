@@ -9,6 +9,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.bench.scenes import Sheet
 from shape_obs.clustering.base import Centres, Clusterer
 from shape_obs.clustering.fcm import FuzzyCMeans
 from shape_obs.clustering.gmm import GaussianMixture
@@ -25,7 +26,6 @@ from shape_obs.image.segmentation import Segmentation
 from shape_obs.metrics import calinski_harabasz, nearest, silhouette, spacing_cv
 from tests.benchmarks import Clock
 from tests.benchmarks.interleaved_timing import CLOCKS, timed
-from tests.benchmarks.scenes.sheets import Sheet
 from tests.benchmarks.scores import SLIP, outline_score, score
 from tests.benchmarks.surface_claims import score_sheet
 from tests.benchmarks.table.frames import CONFIGURATIONS, Name, Scene

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.bench.scenes import draw_rope
 from shape_obs.camera import CameraModel, Intrinsics
-from tests.benchmarks.scenes.ropes import draw_rope
 
 Array = npt.NDArray[np.float64]
 Size = tuple[int, int]

@@ -10,10 +10,10 @@ import pytest
 from camera_scene import camera, source
 
 from shape_obs import ShapeDetector, save_config
+from shape_obs.bench.scenes import draw_rope
 from shape_obs.cli import main
 from shape_obs.recording import Moment, RecordingWriter, ShapeLog, ShapeTable
 from shape_obs_envs.sources.realsense.driver import recording_suffix
-from tests.benchmarks.scenes.ropes import draw_rope
 
 CONFIG: dict[str, Any] = {
     "shapes": [{"kind": "centerline", "n": 12, "spacing": "m"}],

@@ -1,4 +1,4 @@
-"""Judge curves that were found in a scene of several ropes."""
+"""Judge whether curves run as drawn ropes do: those of a scene of several ropes, and that of a tangled rope."""
 
 from __future__ import annotations
 
@@ -8,14 +8,22 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import minimum_filter1d
 
+from shape_obs.bench.scenes import resample
 from shape_obs.compiled import compiled
-from tests.benchmarks.scenes.ropes import Curve, resample
+from tests.benchmarks.scenes.layouts import longest_run
+from tests.benchmarks.scenes.ropes import Curve
 from tests.benchmarks.scenes.several_ropes import RopeScene
+from tests.benchmarks.scenes.tangles import Tangle
 
 _OFF: Final = 0.5  # largest distance of a right curve from its rope's axis in widths
 _SHARE: Final = 0.97  # of the length, over which the distance counts
 _TIP: Final = 1.0  # largest distance of a right curve's tips from those of its rope in widths
+# Of a tangled rope, in widths: the largest distance where it is hidden, and the length by which a tip may be missed.
+_OFF_HIDDEN: Final = 2.0
+_MISSED_TIP: Final = 2.0
+_PACE: Final = (0.1, 3.0)  # steps along the truth over steps along the found curve
 
 
 @dataclass(frozen=True)
@@ -79,12 +87,8 @@ def follows(found: Curve, axis: Curve, width: float) -> bool:
 def seen_axis(curve: Curve, size: Sequence[int]) -> Curve:
     """Return the longest part of an axis inside an image of ``size`` ``(H, W)``, up to its border."""
     fine = resample(curve, 0.25)
-    inside = ((fine >= -0.5) & (fine <= np.array([size[1], size[0]]) - 0.5)).all(axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], inside, [0]])))
-    if len(edges) == 0:
-        return curve[:0]
-    k = 2 * int(np.argmax(edges[1::2] - edges[::2]))
-    return resample(fine[edges[k] : edges[k + 1]], 1.0)
+    part = fine[longest_run(((fine >= -0.5) & (fine <= np.array([size[1], size[0]]) - 0.5)).all(axis=1))]
+    return resample(part, 1.0) if len(part) else part
 
 
 @compiled("(f8[:,::1], f8[:,::1], f8, i8)")
@@ -116,3 +120,41 @@ def steps_off(truth: Curve, found: Curve, reach: float, beyond: int) -> int:
     for j in range(max(m - 1 - beyond, 0), m):
         best = min(best, row[j])
     return best
+
+
+def is_traversed(found: npt.ArrayLike, tangle: Tangle) -> bool:
+    """Return whether a found curve follows a tangled rope from tip to tip, in either direction.
+
+    The discrete Frechet distance (Eiter and Mannila, 1994), with a bound on the pace, must not exceed half a width, or
+    two widths where the rope is hidden. A loop in the wrong direction, a missing strand or swapped strands exceed it.
+
+    Args:
+        found: ``(N, 2)`` pixels, evenly spaced.
+        tangle: The truth.
+    """
+    points = np.asarray(found, dtype=np.float64)
+    if not np.all(np.isfinite(points)):
+        return False
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    points = points[(arc >= _TIP * tangle.width) & (arc <= arc[-1] - _TIP * tangle.width)]
+    return bool(min(_leash(points, tangle), _leash(points[::-1], tangle)) <= _OFF * tangle.width)
+
+
+def _leash(points: Curve, tangle: Tangle) -> float:
+    """Return the Frechet distance from the truth; distances count a quarter where the rope is hidden."""
+    step = float(np.linalg.norm(np.diff(tangle.curve, axis=0), axis=1).mean())
+    distance = np.linalg.norm(points[:, None] - tangle.curve[None], axis=2)
+    distance[:, tangle.hidden] *= _OFF / _OFF_HIDDEN
+    pace = len(tangle.curve) / max(len(points) - 1, 1)
+    slow, fast = max(int(_PACE[0] * pace), 1), max(int(np.ceil(_PACE[1] * pace)), 3)
+    # A gap is added for curves of few points.
+    free = int((_MISSED_TIP + _TIP) * tangle.width / step + pace)
+    leash = np.full(len(tangle.curve), np.inf)
+    leash[:free] = distance[0, :free]
+    window = fast - slow + 1
+    for row in distance[1:]:
+        # The smallest value ``slow`` to ``fast`` steps behind.
+        padded = np.concatenate([np.full(fast, np.inf), leash])
+        behind = minimum_filter1d(padded, window, mode="constant", cval=np.inf, origin=(window - 1) // 2 - window + 1)
+        leash = np.maximum(behind[: len(leash)], row)
+    return float(leash[-free:].min())
