@@ -5,10 +5,6 @@ from __future__ import annotations
 import sys
 
 import pytest
-
-pytest.importorskip("mujoco")
-pytest.importorskip("stable_baselines3")
-
 from ablation_study import STUDY, here, killing, numbers
 
 from shape_obs.ablation import Study
@@ -16,8 +12,10 @@ from shape_obs.ablation.executors import Ray
 from shape_obs.ablation.sweep import left, sweep
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_cluster_that_loses_a_worker_gives_the_same_numbers(tmp_path):
+    pytest.importorskip("mujoco")
+    pytest.importorskip("stable_baselines3")
     ray = pytest.importorskip("ray")
     study = Study.from_dict({**{name: value for name, value in STUDY.items() if name != "version"}, "seeds": [0]})
     sweep(study, left(study, tmp_path / "here"), here)

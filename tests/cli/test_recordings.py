@@ -17,14 +17,6 @@ BLUE = {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}
 CABLE = ["--set", "actions=random", "seed=2", "renderer=rays", "camera=[96, 72]"]
 
 
-def run(capsys, *arguments):
-    """Return (exit code, stdout, stderr) of a command run in this process."""
-    with pytest.raises(SystemExit) as stop:
-        main([str(argument) for argument in arguments])
-    captured = capsys.readouterr()
-    return stop.value.code, captured.out, captured.err
-
-
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
     """Return a folder with configs, photos, and various damaged files."""
@@ -62,11 +54,10 @@ def recorded(place):
     return place / "cable"
 
 
-def test_record_then_replay_then_read(place, recorded, tmp_path, capsys):
+def test_record_then_replay_then_read(place, recorded, tmp_path, run):
     pytest.importorskip("pyarrow")
-    capsys.readouterr()
     code, out, err = run(
-        capsys, "replay", recorded, "--config", place / "space.yaml", "--verify", "--json",
+        "replay", recorded, "--config", place / "space.yaml", "--verify", "--json",
         "--csv", tmp_path / "s.csv", "--npz", tmp_path / "s.npz", "--parquet", tmp_path / "s.parquet",
         "--video", tmp_path / "s.mp4",
     )  # fmt: skip
@@ -88,11 +79,9 @@ def test_record_then_replay_then_read(place, recorded, tmp_path, capsys):
     ]
 
 
-def test_replaying_the_source_itself_gives_the_recordings_shapes(place, recorded, tmp_path, capsys):
+def test_replaying_the_source_itself_gives_the_recordings_shapes(place, recorded, tmp_path, run):
     for source, options, name in ((recorded, [], "a.npz"), ("ShapeObs/Cable-v0", ["--frames", 12, *CABLE], "b.npz")):
-        code, out, _ = run(
-            capsys, "replay", source, "--config", place / "space.yaml", "--npz", tmp_path / name, *options
-        )
+        code, out, _ = run("replay", source, "--config", place / "space.yaml", "--npz", tmp_path / name, *options)
         assert code == 0
         assert "ok in 12" in out
     a, b = (ShapeTable.load(tmp_path / name) for name in ("a.npz", "b.npz"))
@@ -101,10 +90,10 @@ def test_replaying_the_source_itself_gives_the_recordings_shapes(place, recorded
             assert np.array_equal(a[column], b[column], equal_nan=a[column].dtype.kind == "f"), column
 
 
-def test_seconds_are_those_of_the_stamps(place, tmp_path, capsys):
+def test_seconds_are_those_of_the_stamps(place, tmp_path, run):
     pytest.importorskip("mujoco")
     code, out, _ = run(
-        capsys, "record", "--source", "ShapeObs/Cable-v0", "-o", tmp_path / "r", "--seconds", 0.5, "--json", *CABLE
+        "record", "--source", "ShapeObs/Cable-v0", "-o", tmp_path / "r", "--seconds", 0.5, "--json", *CABLE
     )
     report = json.loads(out)
     assert code == 0
@@ -112,28 +101,28 @@ def test_seconds_are_those_of_the_stamps(place, tmp_path, capsys):
     assert report["seconds"] == pytest.approx(0.45)
 
 
-def test_photos_and_videos_are_recorded_and_replayed(place, tmp_path, capsys):
+def test_photos_and_videos_are_recorded_and_replayed(place, tmp_path, run):
     for source in ("photos", "rope.avi"):
-        code, out, _ = run(capsys, "record", "--source", place / source, "-o", tmp_path / source, "--json")
+        code, out, _ = run("record", "--source", place / source, "-o", tmp_path / source, "--json")
         assert (code, json.loads(out)["frames"]) == (0, 3)
         assert not Recording(tmp_path / source).has_depth
-        code, out, _ = run(capsys, "replay", tmp_path / source, "--config", place / "pixels.yaml", "--json")
+        code, out, _ = run("replay", tmp_path / source, "--config", place / "pixels.yaml", "--json")
         assert (code, json.loads(out)["shapes"]["centerline"]["ok"]) == (0, 3)
 
 
-def test_depth_can_be_left_out(recorded, tmp_path, capsys):
-    code, _, _ = run(capsys, "record", "--source", recorded, "-o", tmp_path / "flat", "--depth", "no")
+def test_depth_can_be_left_out(recorded, tmp_path, run):
+    code, _, _ = run("record", "--source", recorded, "-o", tmp_path / "flat", "--depth", "no")
     assert code == 0
     assert not Recording(tmp_path / "flat").has_depth
     assert not (tmp_path / "flat" / "depth").exists()
 
 
-def test_a_shape_that_is_not_there_is_a_row(recorded, tmp_path, capsys):
+def test_a_shape_that_is_not_there_is_a_row(recorded, tmp_path, run):
     save_config(
         tmp_path / "red.yaml",
         {"segmentation": {**BLUE, "low": [0, 200, 200], "high": [5, 255, 255]}, "on_missing": "raise"},
     )
-    code, out, _ = run(capsys, "replay", recorded, "--config", tmp_path / "red.yaml", "--npz", tmp_path / "s.npz")
+    code, out, _ = run("replay", recorded, "--config", tmp_path / "red.yaml", "--npz", tmp_path / "s.npz")
     table = ShapeTable.load(tmp_path / "s.npz")
     assert code == 0
     assert "12 x      the mask is empty" in out
@@ -142,12 +131,12 @@ def test_a_shape_that_is_not_there_is_a_row(recorded, tmp_path, capsys):
     assert np.isnan(table["centerline/points3d"]).all()
 
 
-def test_an_interrupted_recording_is_replayed_with_a_word_about_it(place, recorded, tmp_path, capsys):
+def test_an_interrupted_recording_is_replayed_with_a_word_about_it(place, recorded, tmp_path, run):
 
     shutil.copytree(recorded, tmp_path / "cut")
     text = (tmp_path / "cut" / "frames.jsonl").read_bytes()
     (tmp_path / "cut" / "frames.jsonl").write_bytes(text[: len(text) // 2])
-    code, out, err = run(capsys, "replay", tmp_path / "cut", "--config", place / "space.yaml", "--json")
+    code, out, err = run("replay", tmp_path / "cut", "--config", place / "space.yaml", "--json")
     whole = text[: len(text) // 2].count(b"\n")
     assert code == 0
     assert json.loads(out)["frames"] == whole
@@ -158,77 +147,43 @@ def test_an_interrupted_recording_is_replayed_with_a_word_about_it(place, record
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["replay", "none", "--config", "pixels.yaml"], 1, "source 'none' is not a camera, path, class or environment"),
-        (["replay", "no/recording", "--config", "pixels.yaml"], 1, "no/recording: no such file or folder"),
-        (["replay", "none.db3", "--config", "pixels.yaml"], 1, "none.db3: no such file"),
-        (["replay", "empty", "--config", "pixels.yaml"], 1, "empty: expected a recording"),
-        (["replay", "notes.txt", "--config", "pixels.yaml"], 1, "or a folder, got '.txt'"),
-        (["replay", "junk.mp4", "--config", "pixels.yaml"], 1, "junk.mp4: not a video that OpenCV can decode"),
-        (
-            ["replay", "damaged", "--config", "pixels.yaml"],
-            1,
-            "1.png: not an image that can be read; it may be damaged",
-        ),
-        (
-            ["replay", "rope.avi", "--config", "space.yaml"],
-            1,
-            "rope.avi has no depth, but the config needs it: feature",
-        ),
-        (["replay", "photos", "--config", "far.yaml"], 1, "needs it: segmentation 'depth' of shape 'centerline'"),
-        (["replay", "photos", "--config", "damaged.yaml"], 1, "damaged.yaml: not valid YAML"),
-        (["replay", "photos", "--config", "none.yaml"], 1, "none.yaml: no such config file"),
-        (["replay", "photos"], 2, "give --config FILE to detect with, or --verify"),
-        (["replay", "photos", "--config", "pixels.yaml", "--csv", "s.npz"], 2, "--csv: expected a file named *.csv"),
-        (
-            ["replay", "photos", "--config", "pixels.yaml", "--csv", "notes.txt/s.csv"],
-            1,
-            "cannot make the output folder",
-        ),
-        (
-            ["replay", "photos", "--config", "pixels.yaml", "--video", "s.mkv"],
-            1,
-            "expected a video named *.mp4, *.avi, *.gif",
-        ),
-        (["replay", "photos", "--config", "pixels.yaml", "--frames", "0"], 2, "--frames: expected at least 1, got 0"),
-        (["replay", "CartPole-v1", "--config", "pixels.yaml"], 1, "CartPole-v1: the observation must be an RGB image"),
-        (["record", "--source", "photos", "-o", "photos"], 1, "photos: the folder is not empty"),
-        (["record", "--source", "photos", "-o", "notes.txt/out"], 1, "cannot make the output folder notes.txt/out"),
-        (["record", "--source", "rope.avi", "-o", "new", "--depth", "yes"], 1, "rope.avi has no depth to record"),
-        (["record", "--source", "photos", "-o", "new", "--seconds", "1"], 1, "its frames have no stamps"),
-        (["record", "--source", "photos", "-o", "new.db3"], 2, "only a RealSense camera can be recorded to .db3"),
-        (["record", "--source", "photos", "-o", "new", "--set", "exposure"], 2, "--set: expected KEY=VALUE"),
-        (
-            ["record", "--source", "photos", "-o", "new", "--set", "exposure=1"],
-            2,
-            "a FolderSource does not take ['exposure']",
-        ),
+        ("replay none --config pixels.yaml", 1, "source 'none' is not a camera, path, class or environment"),
+        ("replay no/recording --config pixels.yaml", 1, "no/recording: no such file or folder"),
+        ("replay empty --config pixels.yaml", 1, "empty: expected a recording"),
+        ("replay notes.txt --config pixels.yaml", 1, "or a folder, got '.txt'"),
+        ("replay junk.mp4 --config pixels.yaml", 1, "junk.mp4: not a video that OpenCV can decode"),
+        ("replay damaged --config pixels.yaml", 1, "1.png: not an image that can be read; it may be damaged"),
+        ("replay rope.avi --config space.yaml", 1, "rope.avi has no depth, but the config needs it: feature"),
+        ("replay photos --config far.yaml", 1, "needs it: segmentation 'depth' of shape 'centerline'"),
+        ("replay photos --config damaged.yaml", 1, "damaged.yaml: not valid YAML"),
+        ("replay photos", 2, "give --config FILE to detect with, or --verify"),
+        ("replay photos --config pixels.yaml --csv notes.txt/s.csv", 1, "cannot make the output folder"),
+        ("replay photos --config pixels.yaml --video s.mkv", 1, "expected a video named *.mp4, *.avi, *.gif"),
+        ("replay CartPole-v1 --config pixels.yaml", 1, "CartPole-v1: the observation must be an RGB image"),
+        ("replay ShapeObs/Cable-v0 --config space.yaml", 2, "ShapeObs/Cable-v0 never ends: give --frames N"),
+        ("record --source photos -o photos", 1, "photos: the folder is not empty"),
+        ("record --source photos -o notes.txt/out", 1, "cannot make the output folder notes.txt/out"),
+        ("record --source rope.avi -o new --depth yes", 1, "rope.avi has no depth to record"),
+        ("record --source photos -o new --seconds 1", 1, "its frames have no stamps"),
+        ("record --source photos -o new --set exposure=1", 2, "a FolderSource does not take ['exposure']"),
     ],
 )
-def test_bad_input_gets_one_clear_line(place, capsys, monkeypatch, arguments, code, message):
+def test_bad_input_gets_one_clear_line(place, run, monkeypatch, arguments, code, message):
     monkeypatch.chdir(place)
     before = sorted(place.rglob("*"))
-    ended, out, err = run(capsys, *arguments)
-    lines = [line for line in err.replace("\r", "\n").splitlines() if line.startswith("shape-obs")]
-    assert ended == code
-    assert out == ""
-    assert len(lines) == 1
-    assert message in lines[0]
+    ended, out, err = run(*arguments.split())
+    (line,) = [line for line in err.replace("\r", "\n").splitlines() if line.startswith("shape-obs")]
+    assert (ended, out) == (code, "")
+    assert message in line
     assert [path for path in sorted(place.rglob("*")) if path not in before] == []
 
 
-def test_an_endless_source_needs_a_limit(place, capsys):
-    pytest.importorskip("mujoco")
-    code, _, err = run(capsys, "replay", "ShapeObs/Cable-v0", "--config", place / "space.yaml", *CABLE)
-    assert code == 2
-    assert "ShapeObs/Cable-v0 never ends: give --frames N" in err
-
-
-def test_verify_names_all_that_is_damaged(recorded, tmp_path, capsys):
+def test_verify_names_all_that_is_damaged(recorded, tmp_path, run):
 
     shutil.copytree(recorded, tmp_path / "r")
     for name in ("rgb/000001.png", "depth/000005.png"):
         (tmp_path / "r" / name).write_bytes(b"junk")
-    code, out, err = run(capsys, "replay", tmp_path / "r", "--verify")
+    code, out, err = run("replay", tmp_path / "r", "--verify")
     assert (code, out) == (1, "")
     assert "2 of 12 frames are damaged" in err
     assert "rgb/000001.png" in err

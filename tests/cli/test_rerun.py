@@ -17,7 +17,6 @@ pytest.importorskip("rerun")
 from rerun_reading import entities, points, read_rrd
 
 from shape_obs import save_config
-from shape_obs.cli import main
 from shape_obs.cli.rerun_option import with_rerun_value
 from shape_obs.recording import ShapeTable
 
@@ -26,14 +25,6 @@ CABLE = ["--set", "actions=random", "seed=2", "renderer=rays", "camera=[96, 72]"
 RGB = "/camera/image/rgb"
 FLAT = "/camera/image/shapes/rope/points", "Points2D:positions"
 SPACE = "/camera/shapes/rope/points", "Points3D:positions"
-
-
-def run(capsys, *arguments):
-    """Return (exit code, stdout, stderr) of a command run in this process."""
-    with pytest.raises(SystemExit) as stop:
-        main([str(argument) for argument in arguments])
-    captured = capsys.readouterr()
-    return stop.value.code, captured.out, captured.err
 
 
 @pytest.fixture
@@ -68,9 +59,9 @@ def test_the_value_of_the_option_may_be_left_out(given, read):
     assert with_rerun_value(given) == read
 
 
-def test_a_replay_logs_the_points_of_its_table(place, capsys):
+def test_a_replay_logs_the_points_of_its_table(place, run):
     code, out, err = run(
-        capsys, "replay", "photos", "--rerun", "--config", "pixels.yaml", "--npz", "out/s.npz"
+        "replay", "photos", "--rerun", "--config", "pixels.yaml", "--npz", "out/s.npz"
     )  # fmt: skip
     assert code == 0, err
     assert "wrote           out/s.rrd" in out
@@ -84,35 +75,35 @@ def test_a_replay_logs_the_points_of_its_table(place, capsys):
     assert "/camera/image/mask" in entities(place / "out" / "s.rrd")
 
 
-def test_a_view_shows_images_and_with_a_config_the_shapes(place, capsys):
-    code, out, err = run(capsys, "view", "photos")
+def test_a_view_shows_images_and_with_a_config_the_shapes(place, run):
+    code, out, err = run("view", "photos")
     assert code == 0, err
     assert out == "frames          3\nwrote           photos.rrd\n"
     assert len(read_rrd(place / "photos.rrd", RGB, "EncodedImage:blob")) == 3
     assert FLAT[0] not in entities(place / "photos.rrd")
-    code, _, err = run(capsys, "view", "photos", "--config", "pixels.yaml", "-o", "new/v.rrd", "--frames", "2")
+    code, _, err = run("view", "photos", "--config", "pixels.yaml", "-o", "new/v.rrd", "--frames", "2")
     assert code == 0, err
     assert [len(values) for values in read_rrd(place / "new" / "v.rrd", *FLAT).values()] == [8, 8]
 
 
-def test_features_that_cannot_be_computed_are_left_out_with_a_line(place, capsys):
+def test_features_that_cannot_be_computed_are_left_out_with_a_line(place, run):
     save_config(place / "extrinsics.yaml", {
         "segmentation": BLUE, "shapes": [{"kind": "centerline", "name": "rope", "n": 8}],
         "features": [{"kind": "points2d", "origin": "hand"}],
     })  # fmt: skip
-    code, _, err = run(capsys, "replay", "photos", "--config", "extrinsics.yaml", "--rerun", "r.rrd")
+    code, _, err = run("replay", "photos", "--config", "extrinsics.yaml", "--rerun", "r.rrd")
     assert code == 0, err
     assert err.count("no features are logged to rerun: ") == 1
     assert len(read_rrd(place / "r.rrd", *FLAT)) == 3
 
 
-def test_a_recording_is_logged_while_it_is_made_and_shown_in_space(place, capsys):
+def test_a_recording_is_logged_while_it_is_made_and_shown_in_space(place, run):
     pytest.importorskip("mujoco")
     arguments = ["--source", "ShapeObs/Cable-v0", "-o", "cable", "--frames", "4", *CABLE, "--rerun"]
-    code, _, err = run(capsys, "record", *arguments)
+    code, _, err = run("record", *arguments)
     assert code == 0, err
     assert len(read_rrd(place / "cable.rrd", "/camera/image/depth", "DepthImage:buffer")) == 4
-    code, _, err = run(capsys, "replay", "cable", "--config", "base.yaml", "--rerun", "r.rrd", "--npz", "s.npz")
+    code, _, err = run("replay", "cable", "--config", "base.yaml", "--rerun", "r.rrd", "--npz", "s.npz")
     assert code == 0, err
     table, logged = ShapeTable.load(place / "s.npz"), read_rrd(place / "r.rrd", *SPACE)
     for row, values in enumerate(logged.values()):
@@ -121,15 +112,16 @@ def test_a_recording_is_logged_while_it_is_made_and_shown_in_space(place, capsys
     assert read_rrd(place / "r.rrd", "/camera", "Transform3D:translation"), "the pose of the camera"
 
 
-def test_a_demo_is_logged(place, capsys):
+def test_a_demo_is_logged(place, run):
     pytest.importorskip("mujoco")
-    code, _, err = run(capsys, "demo", "--steps", "3", "--camera", "rl", "--renderer", "rays", "--rerun", "--out", "d")
+    code, _, err = run("demo", "--steps", "3", "--camera", "rl", "--renderer", "rays", "--rerun", "--out", "d")
     assert code == 0, err
     found = entities(place / "d" / "demo.rrd")
     assert {"/camera/shapes/centerline/points", "/camera/image/goals", "/camera/image/mask"} <= found
     assert "/plots/features/centerline/points3d" in found
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 def test_ctrl_c_leaves_a_file_with_the_frames_up_to_then(place):
     pytest.importorskip("mujoco")
@@ -161,8 +153,8 @@ def test_ctrl_c_leaves_a_file_with_the_frames_up_to_then(place):
         (["view", "photos", "-o", "rerun+http://127.0.0.1:9/proxy"], 1, "no rerun viewer at rerun+http://127.0.0.1:9"),
     ],
 )
-def test_mistakes_are_reported_in_one_line(place, capsys, arguments, exit_code, message):
-    code, out, err = run(capsys, *arguments)
+def test_mistakes_are_reported_in_one_line(place, run, arguments, exit_code, message):
+    code, out, err = run(*arguments)
     assert (code, out) == (exit_code, "")
     assert message in err
     assert sum(line.startswith("shape-obs") for line in err.splitlines()) == 1

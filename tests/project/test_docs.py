@@ -20,13 +20,10 @@ import cv2
 import numpy as np
 import pytest
 
-import shape_obs.image.clicked_colours
-import shape_obs.image.mask_function  # noqa: F401  # kinds that a page may import while members are patched
 from shape_obs import Centerline, HSVRange, Segmentation, save_config
 from shape_obs.cli import COMMANDS as CLI_COMMANDS
 from shape_obs.cli import main
 from shape_obs.cli.calibrate import CALIBRATIONS
-from tests.benchmarks.cli import MEASUREMENTS
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -101,6 +98,9 @@ def test_samples_run(page, tmp_path, monkeypatch, request):
     if any(block.language == "console" for block in wanted):
         shutil.copytree(request.getfixturevalue("samples"), tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
+    import shape_obs.image.clicked_colours
+    import shape_obs.image.mask_function  # noqa: F401  # kinds that a page may import while members are patched
+
     monkeypatch.setattr(Segmentation, "_members", dict(Segmentation._members))  # samples define kinds
     # What a sample defines must be found by name, as dataclasses and pickle do.
     names: dict[str, object] = {"__name__": "builtins"}
@@ -133,12 +133,6 @@ def run(command: str) -> None:
     assert code in (0, None), f"{command}: exit code {code}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name)
-def test_every_reason_says_something(page):
-    for block in blocks(page):
-        assert not block.reason or len(block.reason.split()) >= 2, f"{name(page)}:{block.line}: {block.reason!r}"
-
-
 def test_the_commands_of_the_pages_have_only_options_that_exist(capsys):
     known: dict[str, set[str]] = {}
     wrong = []
@@ -157,10 +151,15 @@ def test_the_commands_of_the_pages_have_only_options_that_exist(capsys):
     assert not wrong
 
 
-@pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=name)
-def test_links_within_the_repository_lead_somewhere(page):
-    for target in LINK.findall(read(page)):
-        assert (page.parent / target).exists(), f"{page.name}: {target}"
+def test_links_within_the_repository_lead_somewhere():
+    others = [ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", ROOT / ".github" / "ISSUE_TEMPLATE" / "bug_report.yml"]
+    targets = [(page, target) for page in (*PAGES, *others) for target in LINK.findall(read(page))]
+    wrong = [
+        f"{name(page)}: {to}"
+        for page, to in targets
+        if not (page.parent / to.replace("../blob/main/", "../../")).exists()
+    ]
+    assert wrong == []
 
 
 def linked(page: Path) -> set[Path]:
@@ -179,27 +178,13 @@ def test_every_page_is_at_most_three_clicks_from_the_index():
     assert {page.resolve() for page in PAGES[1:]} <= reached
 
 
-@pytest.mark.parametrize(
-    ("question", "page"),
-    [
-        ("How do I segment without a range of colours?", "how-to/segment-by-clicking.md"),
-        ("How do I use my own camera?", "how-to/use-another-camera.md"),
-        ("What happens when the rope is hidden?", "concepts/validity.md"),
-        ("Which feature do I take?", "how-to/choose-a-feature.md"),
-        ("How do I reproduce the paper's Table I?", "benchmarks/table-1.md"),
-    ],
-)
-def test_the_index_answers_common_questions(question, page):
-    assert re.search(rf"^\| {re.escape(question)} \|.*\({page}\)", read(ROOT / "docs" / "index.md"), re.MULTILINE)
-
-
 def test_the_readme_has_the_two_commands_as_they_are_promised():
     lines = read(ROOT / "README.md").splitlines()
     assert "pip install uv && uv run --no-dev --extra sim shape-obs demo" in lines
     assert "uv run pytest" in lines
 
 
-PARTS = {"calibrate": CALIBRATIONS, "bench": MEASUREMENTS}
+PARTS = {"calibrate": CALIBRATIONS}
 COMMAND_LINES = [command for command in CLI_COMMANDS if command not in PARTS]
 COMMAND_LINES += [f"{group} {part}" for group, parts in PARTS.items() for part in parts]
 CLI_PAGES = ROOT / "docs" / "reference" / "cli"
@@ -214,7 +199,6 @@ def test_the_page_of_a_command_documents_every_option(command, capsys):
     documented = set(re.findall(r"--[a-z][a-z-]*", page))
     pairs = {f"--no-{name[2:]}" for name in known}  # the form that switches off an option that is on
     assert known - pairs - {"--help"} == documented - pairs
-    assert len(page.split()) <= 700
 
 
 def test_the_table_of_commands_lists_every_page():

@@ -1,4 +1,4 @@
-"""The notebook of the first tutorial has the code of the page, and runs from top to bottom."""
+"""The notebook of the first tutorial has the code and the output of the page, and runs from top to bottom."""
 
 from __future__ import annotations
 
@@ -11,38 +11,27 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "tutorials" / "first-vector.md"
 NOTEBOOK = ROOT / "examples" / "first_vector.ipynb"
-AGAIN = "run `uv run python docs/pictures/notebook.py`"
 
 
-@pytest.fixture(scope="module")
-def cells():
-    return [cell for cell in json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"] if cell["cell_type"] == "code"]
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 
 
-def test_its_cells_are_the_blocks_of_the_page(cells):
-    blocks = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-    assert ["".join(cell["source"]) for cell in cells] == [block.strip("\n") for block in blocks], AGAIN
-
-
-def test_the_page_prints_what_the_notebook_prints(cells):
-    printed = re.findall(r"^```text\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-    stored = ["".join(output["text"]) for cell in cells for output in cell["outputs"] if "text" in output]
-    assert stored == printed, AGAIN
-
-
-def test_it_is_stored_with_its_outputs(cells):
-    assert all(cell["outputs"] for cell in cells)
+def test_the_notebook_equals_the_page():
+    notebook = json.loads(NOTEBOOK.read_text(encoding="utf-8"))
+    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    again = "run `uv run python docs/pictures/notebook.py`"
+    assert ["".join(cell["source"]) for cell in cells] == [block.strip("\n") for block in blocks("python")], again
+    printed = ["".join(output["text"]) for cell in cells for output in cell["outputs"] if "text" in output]
+    assert printed == blocks("text"), again
     assert "image/png" in cells[-1]["outputs"][-1]["data"]
+    assert not re.search(r"/(home|root|tmp|work|Users)/", "".join(printed)), "a trace of the machine that ran it"
+    assert set(notebook["metadata"]) == {"kernelspec", "language_info"}
     assert NOTEBOOK.stat().st_size < 300_000
 
 
-def test_it_has_no_trace_of_the_machine_that_ran_it(cells):
-    text = json.dumps([output.get("text", "") for cell in cells for output in cell["outputs"]])
-    assert not re.search(r"/(home|root|tmp|work|Users)/", text)
-    assert set(json.loads(NOTEBOOK.read_text(encoding="utf-8"))["metadata"]) == {"kernelspec", "language_info"}
-
-
-def test_it_runs(tmp_path):
+@pytest.mark.nightly
+def test_the_notebook_runs(tmp_path):
     pytest.importorskip("mujoco")
     pytest.importorskip("ipykernel")
     nbclient = pytest.importorskip("nbclient")

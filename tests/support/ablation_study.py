@@ -7,14 +7,30 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-
-from fuzzing.killed_studies import STUDY as STUDY
+from typing import Any, Final
 
 from shape_obs.ablation.executors import Outcome, Task, work
 from shape_obs.ablation.scores import read_scores
+
+#: As small as a study can be: the simulator's points, near goals, tiny networks. It takes about twenty seconds.
+STUDY: Final[Mapping[str, Any]] = {
+    "version": 1,
+    "episode": 10,
+    "difficulties": ["near"],
+    "seeds": [0, 1],
+    "steps": 60,
+    "hyperparameters": {"batch_size": 8, "learning_starts": 20, "buffer_size": 100},
+    "her": {},
+    "normalize": {},
+    "evaluation": {"every": 30, "goals": 1, "final_goals": 2, "difficulties": ["near", "middle"]},
+    "arms": {
+        "small": {"observation": "truth", "hyperparameters": {"net_arch": [8]}},
+        "smaller": {"observation": "truth", "hyperparameters": {"net_arch": [4]}},
+    },
+}
 
 
 def numbers(root: Path) -> dict[str, list[tuple]]:

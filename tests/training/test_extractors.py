@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-pytest.importorskip("stable_baselines3")
 
-import torch
-from stable_baselines3 import SAC
-
-from shape_obs.training import GoalDifference, ImageAndGoal, PixelPolicy
+@pytest.fixture(scope="module")
+def torch() -> Any:
+    """Return the module; collecting the tests does not load it."""
+    pytest.importorskip("stable_baselines3")
+    return pytest.importorskip("torch")
 
 
 def goals(size: int) -> dict[str, spaces.Space]:
@@ -22,17 +22,19 @@ def goals(size: int) -> dict[str, spaces.Space]:
     return {"achieved_goal": box, "desired_goal": box}
 
 
-def batch(space: spaces.Dict, size: int = 4) -> Any:
+def batch(torch: Any, space: spaces.Dict, size: int = 4) -> Any:
     space.seed(0)
     samples = [space.sample() for _ in range(size)]
     return {key: torch.as_tensor(np.stack([sample[key] for sample in samples])) for key in space.spaces}
 
 
 @pytest.mark.parametrize("visible", [None, 2])
-def test_goal_difference(visible):
+def test_goal_difference(torch, visible):
+    from shape_obs.training import GoalDifference
+
     space = spaces.Dict({"observation": spaces.Box(-1.0, 1.0, (5,), np.float32), **goals(6)})
     extractor = GoalDifference(space, visible)
-    seen = batch(space)
+    seen = batch(torch, space)
     size = visible or 6
     features = extractor(seen)
     assert features.shape == (4, extractor.features_dim) == (4, 5 + 2 * size)
@@ -44,11 +46,13 @@ def test_goal_difference(visible):
     torch.testing.assert_close(extractor(hidden), features)
 
 
-def test_image_and_goal_reads_no_achieved_goal():
+def test_image_and_goal_reads_no_achieved_goal(torch):
+    from shape_obs.training import ImageAndGoal
+
     image = spaces.Box(0, 255, (3, 40, 48), np.uint8)
     space = spaces.Dict({"observation": image, **goals(6)})
     extractor = ImageAndGoal(space, features=8)
-    seen = batch(space)
+    seen = batch(torch, space)
     seen["observation"] = seen["observation"].float() / 255  # as policies hand images on
     features = extractor(seen)
     assert features.shape == (4, extractor.features_dim) == (4, 14)
@@ -76,8 +80,12 @@ class Lamp(gym.Env[Any, Any]):
         return {"observation": image, "achieved_goal": np.zeros(1, np.float32), "desired_goal": np.zeros(1, np.float32)}
 
 
-@pytest.mark.long
-def test_a_pixel_policy_learns_what_it_sees_through_the_critic_alone(tmp_path):
+@pytest.mark.nightly
+def test_a_pixel_policy_learns_what_it_sees_through_the_critic_alone(torch, tmp_path):
+    from stable_baselines3 import SAC
+
+    from shape_obs.training import ImageAndGoal, PixelPolicy
+
     torch.set_num_threads(1)
     model = SAC(
         PixelPolicy, Lamp(), seed=0, device="cpu", learning_rate=1e-3, batch_size=64, buffer_size=2000, gamma=0.5,

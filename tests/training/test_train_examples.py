@@ -9,14 +9,6 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("mujoco")
-pytest.importorskip("stable_baselines3")
-
-import torch
-from stable_baselines3.common.save_util import load_from_zip_file
-
-from shape_obs.deploy.policy_bundle import load_bundle
-
 EXAMPLES = Path(__file__).parents[2] / "examples"
 OFF_POLICY = {"learning_starts": 90, "buffer": 250}
 SLOW = {"learning_starts": 190, "buffer": 250, "size": 40}  # a convolution takes its time
@@ -42,10 +34,17 @@ def unpickled(path: Path) -> Any:
         return pickle.load(file)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore:rich is", "ignore:The last trajectory", "ignore:You have specified a mini-batch")
 @pytest.mark.parametrize("name", TINY)
 def test_a_training_stops_and_goes_on(name, tmp_path, capsys):
+    pytest.importorskip("mujoco")
+    pytest.importorskip("stable_baselines3")
+    import torch
+    from stable_baselines3.common.save_util import load_from_zip_file
+
+    from shape_obs.deploy.policy_bundle import load_bundle
+
     threads = torch.get_num_threads()
     module = example(name)
     tiny = TINY[name] | {"out": tmp_path / "run", "evaluate_every": 100, "checkpoint_every": 100}

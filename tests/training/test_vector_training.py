@@ -10,13 +10,12 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("mujoco")
-pytest.importorskip("stable_baselines3")
 
-
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize("method", ["fork", "forkserver", "spawn"])
 def test_subproc_and_async_train(method):
+    pytest.importorskip("mujoco")
+    pytest.importorskip("stable_baselines3")
     if method not in multiprocessing.get_all_start_methods():
         pytest.skip(f"there is no {method} here")
     # As users run it: libraries may start as many threads as they like.

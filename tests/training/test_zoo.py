@@ -10,13 +10,6 @@ import gymnasium as gym
 import pytest
 import yaml
 
-pytest.importorskip("mujoco")
-pytest.importorskip("stable_baselines3")
-
-import stable_baselines3 as sb3
-from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.vec_env import VecNormalize
-
 ZOO = sorted((Path(__file__).parents[2] / "examples" / "zoo").glob("*.yml"))
 
 
@@ -36,8 +29,15 @@ def wrapping(wrappers: list[Any]) -> Any:
     return wrap
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("path", ZOO, ids=lambda path: path.name)
 def test_hyperparameters_train(path):
+    pytest.importorskip("mujoco")
+    pytest.importorskip("stable_baselines3")
+    import stable_baselines3 as sb3
+    from stable_baselines3.common.env_util import make_vec_env
+    from stable_baselines3.common.vec_env import VecNormalize
+
     import_module("shape_obs_envs")  # --gym-packages
     for name, given in yaml.safe_load(path.read_text(encoding="utf-8")).items():
         wrap = wrapping(given.pop("env_wrapper"))

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from fuzzing.recordings import damaged_recordings, record_some
 from fuzzing.tables import a_table, flipped_tables, same
-from sweep import sweep
 
 from shape_obs.ablation import Study, load_study
 from shape_obs.ablation.executors import Outcome, Task
@@ -29,12 +28,14 @@ from shape_obs.source import BadRecording
 # ---- tables
 
 
+@pytest.mark.parametrize("flips", [20, pytest.param(1000, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("suffix", [".parquet", ".npz", ".csv"])
-def test_no_flipped_bit_loads_as_other_values(tmp_path, suffix):
+def test_no_flipped_bit_loads_as_other_values(tmp_path, suffix, flips):
     if suffix == ".parquet":
         pytest.importorskip("pyarrow")
-    rows = flipped_tables(tmp_path, sweep(100, 2000), seed=5, suffixes=(suffix,))
-    assert [row["seen"] for row in rows] == [0, 0]
+    found = flipped_tables(tmp_path, suffix, flips, seed=5)
+    assert (found["wrong"], found["undeclared"]) == (0, 0)
+    assert found.total() == flips
 
 
 def test_parquet_pages_have_checksums_that_other_programs_verify(tmp_path):
@@ -244,14 +245,14 @@ def test_lines_with_wrong_values_are_named(folder, changes, message):
         read(folder)
 
 
-def test_damaged_recordings_raise_only_bad_recording(tmp_path):
-    rows = damaged_recordings(tmp_path, sweep(200, 3000), seed=7)
-    assert [row["reached"] for row in rows] == ["yes"] * 3
+@pytest.mark.parametrize("count", [20, pytest.param(1500, marks=pytest.mark.nightly)])
+def test_damaged_recordings_raise_only_bad_recording_and_read_nothing_outside(tmp_path, count):
+    found, outside = damaged_recordings(tmp_path, count, seed=7)
+    assert (found["undeclared"], outside) == (0, 0)
+    assert found["refused"] > count / 2
 
 
 def test_the_measurement_sees_what_is_read_outside(tmp_path, monkeypatch):
     """Without the check of paths, the measurement counts files that were read outside."""
     monkeypatch.setattr("shape_obs.recording.images.inside", lambda folder, name: folder / name)
-    rows = damaged_recordings(tmp_path, 60, seed=7)
-    assert rows[1]["seen"] >= 3
-    assert rows[1]["reached"] == "no"
+    assert damaged_recordings(tmp_path, 60, seed=7)[1] >= 3

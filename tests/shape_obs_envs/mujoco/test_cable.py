@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from typing import Any, cast
 
 import gymnasium as gym
@@ -35,12 +33,12 @@ def env():
 
 @pytest.fixture(scope="module")
 def episodes():
-    """Return shapes (E, T, 100, 3), pixels (E, T, 100, 2), tips and targets of 40 episodes of held actions."""
+    """Return shapes (E, T, 100, 3), pixels (E, T, 100, 2), tips and targets of 12 episodes of held actions."""
     env = make(render_observation=False)  # the pictures are not looked at
     rng = np.random.default_rng(0)
     points, pixels, goals, targets = [], [], [], []
     action = np.zeros(6, np.float32)
-    for seed in range(40):
+    for seed in range(12):
         observation, _ = env.reset(seed=seed)
         goals.append(observation["desired_goal"].reshape(-1, 3))
         for k in range(50):
@@ -53,14 +51,6 @@ def episodes():
                 points.append(env.truth(100))
                 pixels.append(env.truth(100, frame="pixels"))
     return np.array(points), np.array(pixels), np.array(goals), np.array(targets)
-
-
-def test_reset_forgets_the_past(env):
-    fresh = rollout(make(), 3)
-    rollout(env, 4)
-    for a, b in zip(fresh, rollout(env, 3), strict=True):
-        assert np.array_equal(a[0]["achieved_goal"], b[0]["achieved_goal"])
-        assert np.array_equal(a[0]["rgb"], b[0]["rgb"])
 
 
 def test_reward_by_hand():
@@ -86,23 +76,14 @@ def test_truth_is_equidistant_and_runs_from_tip_to_tip(env):
     observation = env._observe()
     assert np.allclose(observation["achieved_goal"].reshape(20, 3), env.truth(20), atol=1e-6)
     assert np.allclose(observation["gripper"].reshape(2, 5)[:, :3], fine[[0, -1]], atol=1e-6)
-    heading = fine[1] - fine[0]
-    assert np.allclose(observation["gripper"][3:5], heading[:2] / np.linalg.norm(heading), atol=1e-5)
-
-
-def test_frames_of_the_truth_agree(env):
-    rollout(env, 2)
-    camera = env.camera_model
-    local = env.truth(15, frame="camera")
-    assert np.allclose(camera.to_base(local), env.truth(15))
-    assert np.allclose(camera.intrinsics.project(local), env.truth(15, frame="pixels"))
-    # along the line of sight the surface is nearer, at the same pixel
-    surface = env.truth(15, frame="camera", surface=True)
+    # along the line of sight the surface is nearer than the axis, at the same pixel
+    axis, surface = env.truth(15, frame="camera"), env.truth(15, frame="camera", surface=True)
     assert np.allclose(env.truth(15, frame="pixels", surface=True), env.truth(15, frame="pixels"), atol=1e-6)
-    gap = (local - surface)[1:-1, 2]
+    gap = (axis - surface)[1:-1, 2]
     assert (gap > 0.006).all()
     assert (gap < 0.014).all()
-    assert np.linalg.norm((local - surface)[[0, -1]], axis=1).max() < 0.016
+    heading = fine[1] - fine[0]
+    assert np.allclose(observation["gripper"][3:5], heading[:2] / np.linalg.norm(heading), atol=1e-5)
 
 
 def test_the_rope_keeps_its_length_and_does_not_touch_itself(episodes):
@@ -146,24 +127,6 @@ def test_actions_move_each_gripper(env):
         env.step(np.full(6, np.nan, np.float32))
 
 
-def test_no_instability_warning(env):
-    rng = np.random.default_rng(0)
-    env.reset(seed=0)
-    action = np.zeros(6)
-    for k in range(150):
-        if k % 10 == 0:
-            action = np.sign(rng.uniform(-1, 1, 6))
-        env._move(action)
-    assert not any(w.number for w in env._body.data.warning)
-
-
-def test_time_limit_and_no_termination():
-    env = gym.make("ShapeObs/Cable-v0", camera=[16, 16], renderer="rays")
-    env.reset(seed=0)
-    ends = [env.step(np.zeros(6, np.float32))[2:4] for _ in range(50)]
-    assert ends == [(False, False)] * 49 + [(False, True)]
-
-
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
@@ -182,35 +145,3 @@ def test_time_limit_and_no_termination():
 def test_bad_arguments(kwargs, message):
     with pytest.raises(ValueError, match=message):
         make(**kwargs)
-
-
-def test_bad_calls(env):
-    with pytest.raises(ValueError, match=r"render_mode: expected one of None, 'rgb_array', .* got 'rgb'"):
-        type(env)(render_mode="rgb")
-    with pytest.raises(ValueError, match=r"options: expected one of 'start', 'goal', got 'goals'. Did you mean 'goal'"):
-        env.reset(options={"goals": 1})
-    with pytest.raises(ValueError, match=r"options\['goal'\]: expected 20 points .* got an array of shape \(1,\)"):
-        env.reset(options={"goal": [1.0]})
-    with pytest.raises(ValueError, match=r"expected a physics state, .* got \(1,\). Take it from"):
-        env.reset(options={"start": [1.0]})
-    with pytest.raises(ValueError, match=r"frame: expected one of .* Did you mean 'pixels'"):
-        env.truth(frame="pixel")
-    with pytest.raises(ValueError, match=r"n: expected a whole number, 2 or more, got 1"):
-        env.truth(1)
-
-
-def test_mujoco_is_imported_only_when_needed(tmp_path):
-    code = """
-import sys
-import gymnasium as gym, shape_obs_envs
-assert "mujoco" not in sys.modules
-sys.modules["mujoco"] = None
-try:
-    gym.make("ShapeObs/Cable-v0")
-except ImportError as error:
-    assert 'pip install ".[sim]"' in str(error), error
-else:
-    raise SystemExit("made without MuJoCo")
-"""
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path, timeout=60)
-    assert not list(tmp_path.iterdir())

@@ -11,15 +11,11 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from simulator_gl import needs_gl
 
 import shape_obs_envs  # noqa: F401
-from shape_obs import ShapeGoal, ShapeObservation
-from shape_obs.servo import ShapeServo
 from shape_obs_envs.mujoco.bodies import MaterialFactors
 from shape_obs_envs.mujoco.bodies.crossings import intersections
 from shape_obs_envs.mujoco.cables import CablesEnv
-from tests.benchmarks.servo.worlds import TrueDetector, Unseen
 
 Array = np.ndarray[Any, Any]
 
@@ -177,7 +173,7 @@ def test_the_image_shows_the_upper_rope(env):
 @pytest.mark.parametrize("ropes", [2, 3])
 def test_ropes_stay_above_or_below_when_they_are_dragged(ropes):
     env = make(ropes=ropes, render_observation=False)
-    for seed in range(8):
+    for seed in range(3):
         start(env, seed)
         drag(env, seed)
 
@@ -194,7 +190,7 @@ def test_ropes_stay_above_or_below_when_they_are_dragged(ropes):
 def test_every_material_is_stable(factors):
     env = make(render_observation=False)
     env._body.set_material(factors)
-    for seed in range(4):
+    for seed in range(2):
         start(env, seed)
         drag(env, seed)
 
@@ -216,7 +212,7 @@ def test_a_gripper_that_pulls_at_a_jammed_rope_stops():
 
 
 def test_they_come_to_rest(env):
-    for seed in range(4):
+    for seed in range(2):
         start(env, seed)
         rng = np.random.default_rng(seed)
         for _ in range(4):
@@ -244,30 +240,7 @@ def test_a_dragged_rope_moves_those_that_it_lies_on():
     assert max(max(each[0], each[-1]) for each in moved) < 2e-3
 
 
-def test_a_state_is_taken_over_with_another_thickness(env):
-    start(env, 0)
-    state, goal = env.get_state(), env._goal
-    env._body.set_material(MaterialFactors(thickness=1.25))
-    env.reset(seed=1, options={"start": state, "goal": goal})
-    for _ in range(5):
-        env.step(np.zeros(6, np.float32))
-    assert np.abs(env._ropes.gripper_poses() - env._target).max() < 0.02
-    assert np.allclose(env._ropes.vertices()[:, [0, -1], 2], env._ropes.spec.radius, atol=1e-3)
-    env._body.set_material(MaterialFactors())
-
-
-# ---- images, arguments, servo
-
-
-@needs_gl
-def test_opengl_and_rays_draw_the_same():
-    one, two = (start(make(camera="d455", renderer=renderer), 3) for renderer in ("gl", "rays"))
-    apart = np.abs(one["rgb"].astype(int) - two["rgb"]).max(axis=2)
-    assert np.median(apart) <= 2
-    assert (apart > 20).mean() < 0.01, "outlines within a pixel"
-    depth = np.abs(one["depth"].astype(int) - two["depth"])
-    assert np.median(depth) <= 1
-    assert (depth > 5).mean() < 0.01
+# ---- arguments
 
 
 @pytest.mark.parametrize(
@@ -283,17 +256,3 @@ def test_opengl_and_rays_draw_the_same():
 def test_bad_arguments_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         make(**options)
-
-
-def test_a_servo_brings_the_named_rope_to_its_goal():
-    world = gym.make("ShapeObs/Cables-v0", rope=1, render_observation=False, max_episode_steps=-1)
-    spec = {"kind": "centerline", "n": 20, "ends": "tips", "spacing": "m", "anchor": "gripper1"}
-    observing = ShapeObservation(Unseen(world, (160, 120)), [spec])
-    observing.detector = TrueDetector(world.get_wrapper_attr("truth"), **observing.detector.config.to_dict())
-    env = ShapeGoal(observing, features=[{"kind": "points3d", "frame": "base"}], threshold=0.01)
-    servo = ShapeServo("rls")
-    servo.attach(env)
-    observation, info = env.reset(seed=1)
-    for _ in range(100):
-        observation, _, _, _, info = env.step(servo.act(observation))
-    assert info["truth/mean_error"] < 0.01

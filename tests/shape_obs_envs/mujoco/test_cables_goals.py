@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 
 pytest.importorskip("mujoco")
 
 import shape_obs_envs  # noqa: F401
 from shape_obs import ShapeGoal
-from tests.benchmarks.servo.episode import play
-from tests.benchmarks.servo.settings import Setting
-from tests.benchmarks.servo.worlds import World
 
 GOALS = ("achieved_goal", "desired_goal")
 # Two ropes at a size at which every rope is found in each of these frames.
@@ -59,19 +54,13 @@ def test_the_rope_with_the_goal_is_in_slot_0():
     assert observation["desired_goal"].shape == (60,)
 
 
-def test_gymnasiums_and_sb3s_checkers_are_content_with_a_goal_of_all_ropes():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        warnings.filterwarnings("ignore", message=".*is different from the unwrapped version")
-        warnings.filterwarnings("ignore", message="features: .* lie outside their bounds")
-        for env in (shapes_env(rope="all"), ShapeGoal(shapes_env(rope="all"))):
-            check_env(env, skip_render_check=True)
-            pytest.importorskip("stable_baselines3.common.env_checker").check_env(env, warn=True)
-            env.close()
-
-
+@pytest.mark.nightly
 @pytest.mark.parametrize("rope", [0, 1])
 def test_the_servo_moves_only_the_gripper_of_the_named_rope(rope):
+    from tests.benchmarks.servo.episode import play
+    from tests.benchmarks.servo.settings import Setting
+    from tests.benchmarks.servo.worlds import World
+
     setting = Setting("Cables", "middle", "truth", "160x120", "points3d", "rls", rope=rope)
     world = World(setting)
     assert setting.name.endswith("-rope" + str(rope))

@@ -67,11 +67,11 @@ def env():
 
 @pytest.fixture(scope="module")
 def episodes() -> dict[str, np.ndarray]:
-    """Return the effect of 20 episodes on the sheet: held actions, white noise, full strength."""
+    """Return the effect of 9 episodes on the sheet: held actions, white noise, full strength."""
     env = make(render_observation=False)
     rng, action = np.random.default_rng(0), IDLE
     seen: dict[str, list[Any]] = {name: [] for name in ("stretch", "crossings", "pixels", "surface", "grippers")}
-    for seed in range(20):
+    for seed in range(9):
         env.reset(seed=seed)
         for step in range(50):
             if step % 8 == 0 or seed % 3 == 0:
@@ -97,16 +97,6 @@ def test_the_sheet_hardly_stretches(episodes):
 
 def test_its_layers_do_not_pass_through_each_other(episodes):
     assert np.mean(episodes["crossings"] > 0) < 0.01
-
-
-def test_crossings_are_counted():
-    x, y = np.meshgrid(np.arange(5.0), np.arange(4.0))
-    flat = np.stack([x, y, np.ones_like(x)], axis=-1)
-    assert crossings(flat) == 0
-    through = flat.copy()
-    through[2] += (0.0, -0.8, 1.0)
-    through[3] += (0.3, -2.5, -0.5)  # back down, and through the first row of cells
-    assert crossings(through) > 0
 
 
 def test_all_of_it_stays_in_the_smallest_image_and_above_the_table(episodes):
@@ -158,18 +148,6 @@ def test_it_falls_comes_to_rest_and_does_not_buzz(env):
         assert after[-1, 2:-2, 2].max() < 0.003, name
 
 
-def test_a_reset_forgets_the_past(env):
-    def rollout(seed: int) -> list[np.ndarray]:
-        rng = np.random.default_rng(seed)
-        first, _ = env.reset(seed=seed)
-        steps = [env.step(rng.uniform(-1, 1, 6).astype(np.float32))[0] for _ in range(5)]
-        return [first["desired_goal"], *(step["achieved_goal"] for step in steps), steps[-1]["rgb"]]
-
-    fresh = rollout(3)
-    rollout(4)
-    assert all(np.array_equal(a, b) for a, b in zip(fresh, rollout(3), strict=True))
-
-
 def test_starts_are_unfolded_and_far_goals_are_not():
     env = make(render_observation=False, difficulty="far")
     for seed in range(4):
@@ -206,26 +184,6 @@ def test_truth_runs_over_the_material_from_the_held_corner(env):
     assert np.unravel_index(pixels.sum(axis=-1).argmin(), (ROWS, COLS)) == (0, 0)
     assert (np.diff(pixels[..., 0], axis=1) > 0).all()
     assert (np.diff(pixels[..., 1], axis=0) > 0).all()
-
-
-def test_frames_of_the_truth_agree(env):
-    env.reset(seed=2)
-    camera = env.camera_model
-    local = env.truth(5, 6, frame="camera")
-    assert np.allclose(camera.to_base(local), env.truth(5, 6))
-    assert np.allclose(camera.intrinsics.project(local), env.truth(5, 6, frame="pixels"))
-    assert np.array_equal(env.truth(5, 6, surface=True), env.truth(5, 6))
-
-
-def test_truth_names_its_arguments_in_its_errors(env):
-    with pytest.raises(ValueError, match=r"rows: expected a whole number, 2 or more, got 1"):
-        env.truth(1)
-    with pytest.raises(ValueError, match=r"cols: expected a whole number, 2 or more, got 2.5"):
-        env.truth(4, 2.5)
-    with pytest.raises(ValueError, match=r"frame: expected one of .* Did you mean 'pixels'"):
-        env.truth(frame="pixel")
-    with pytest.raises(ValueError, match=r"ends: expected one of 'tips', 'centers', got 'tip'"):
-        env.truth(ends="tip")
 
 
 def test_another_material_bends_otherwise_and_is_as_stable():

@@ -38,12 +38,12 @@ def blue(env: RingEnv, rgb: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def episodes():
-    """Return true outlines (T, 200, 3), hinges (T, links, 3) and the lengths of the band's links over 20 episodes."""
+    """Return true outlines (T, 200, 3), hinges (T, links, 3) and the lengths of the band's links over 8 episodes."""
     env = make(render_observation=False)
     rng = np.random.default_rng(0)
     outlines, axes = [], []
     action = np.zeros(6, np.float32)
-    for seed in range(20):
+    for seed in range(8):
         env.reset(seed=seed)
         for step in range(50):
             if step % 8 == 0 or seed % 2:  # held, or white noise
@@ -116,26 +116,6 @@ def test_the_picture_is_the_true_band(renderer):
     env.close()
 
 
-def test_gl_and_rays_agree():
-    envs = [make(camera="d455", renderer=renderer) for renderer in ("gl", "rays")]
-    try:
-        envs[0].reset(seed=0)
-    except GLUnavailableError:
-        pytest.skip("there is no OpenGL here")
-    for _ in zip(*map(bent, envs), strict=True):
-        (rgb, depth), (rgb_rays, depth_rays) = (env._rendering.capture(env._body) for env in envs)
-        edges = np.zeros(depth.shape, np.uint8)
-        for image in (rgb, rgb_rays):
-            edges |= (cv2.morphologyEx(image, cv2.MORPH_GRADIENT, np.ones((3, 3))).max(axis=2) > 40).astype(np.uint8)
-        away = cv2.dilate(edges, np.ones((3, 3))) == 0
-        assert np.percentile(np.abs(depth - depth_rays)[away], 99.9) < 5e-4
-        assert np.abs(rgb.astype(int) - rgb_rays)[away].max() <= 16
-        masks = blue(envs[0], rgb), blue(envs[0], rgb_rays)
-        assert np.count_nonzero(masks[0] ^ masks[1]) < 0.02 * masks[0].sum()
-    for env in envs:
-        env.close()
-
-
 @pytest.mark.parametrize(("camera", "most"), [("d455", 0.002), ("rl", 0.003)])
 def test_the_wrapper_sees_the_true_outline(camera, most):
     env = gym.make("ShapeObs/RingShape-v0", camera=camera, renderer="rays")
@@ -154,11 +134,3 @@ def test_the_wrapper_sees_the_true_outline(camera, most):
             slips += np.linalg.norm(found - truth, axis=1).max() > 0.5 * gap
     assert np.mean(errors) < most
     assert slips == 0
-
-
-def test_truth_names_its_arguments_in_its_errors():
-    env = make()
-    with pytest.raises(ValueError, match=r"n: expected a whole number, 3 or more, got 2"):
-        env.truth(2)
-    with pytest.raises(ValueError, match=r"frame: expected one of .* Did you mean 'pixels'"):
-        env.truth(frame="pixel")

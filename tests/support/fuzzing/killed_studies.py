@@ -8,31 +8,14 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 import yaml
+from ablation_study import STUDY
 
-from tests.benchmarks.tables import at_least, at_most
-
-#: As small as a study can be: the simulator's points, near goals, tiny networks. It takes about twenty seconds.
-STUDY: Final[Mapping[str, Any]] = {
-    "version": 1,
-    "episode": 10,
-    "difficulties": ["near"],
-    "seeds": [0, 1],
-    "steps": 60,
-    "hyperparameters": {"batch_size": 8, "learning_starts": 20, "buffer_size": 100},
-    "her": {},
-    "normalize": {},
-    "evaluation": {"every": 30, "goals": 1, "final_goals": 2, "difficulties": ["near", "middle"]},
-    "arms": {
-        "small": {"observation": "truth", "hyperparameters": {"net_arch": [8]}},
-        "smaller": {"observation": "truth", "hyperparameters": {"net_arch": [4]}},
-    },
-}
 _COMMAND: Final = (sys.executable, "-c", "from shape_obs.cli import main; main()", "ablate")
 _PATIENCE: Final = 300.0  # seconds; far more than the study takes
 _POLL: Final = 0.002  # seconds
@@ -43,9 +26,23 @@ Ended = Literal["killed", "finished", "failed"]
 _LOG: Final = logging.getLogger(__name__)
 
 
-def killed_studies(
-    folder: Path, kills: int = 30, seed: int = 0, tick: Callable[[int], object] = lambda kills: None
-) -> list[dict[str, Any]]:
+class Killed(NamedTuple):
+    """What became of studies that were killed and resumed.
+
+    Attributes:
+        kills: How often a study was killed.
+        lost: Files of finished runs that a kill or a resumption lost or changed.
+        finished: How many studies got finished.
+        different: Those of them that failed or differ from an undisturbed one.
+    """
+
+    kills: int
+    lost: int
+    finished: int
+    different: int
+
+
+def killed_studies(folder: Path, kills: int, seed: int = 0) -> Killed:
     """Kill a study again and again, resume it, and compare it with one that was left alone.
 
     Every other kill comes at a random time. The others come right after a random one of the files that the study makes
@@ -56,10 +53,6 @@ def killed_studies(
         folder: An empty folder for the studies.
         kills: How many kills.
         seed: Of the instants.
-        tick: Called after each kill with their number.
-
-    Returns:
-        Rows of what was asked and what was seen.
     """
     file, draw = folder / "study.yaml", np.random.default_rng(seed)
     file.write_text(yaml.safe_dump(dict(STUDY)), encoding="utf-8")
@@ -84,14 +77,9 @@ def killed_studies(
             if ended != "killed":
                 break
             done += 1
-            tick(done)
         different += ended == "failed" or _results(root) != wanted
         compared += 1
-    return [
-        at_least("kill -9 of shape-obs ablate at random instants", kills, done, ""),
-        at_most("files of finished runs that a kill or a resumption lost or changed", 0, lost, ""),
-        at_most(f"of {compared} resumed studies, those that fail or differ from an undisturbed one", 0, different, ""),
-    ]
+    return Killed(done, lost, compared, different)
 
 
 def _run(file: Path, root: Path, stop: Callable[[], bool]) -> Ended:

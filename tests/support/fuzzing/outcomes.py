@@ -51,11 +51,6 @@ class Outcomes:
             if not good:
                 _LOG.warning("%s: read as something else", name)
 
-    @property
-    def total(self) -> int:
-        """The number of trials."""
-        return sum(self.counts.values())
-
 
 class _Watch:
     """The files that this process opened in a folder, by an audit hook of the interpreter; hooks cannot be removed."""

@@ -162,36 +162,6 @@ def test_camera_is_the_d455():
     assert np.linalg.det(transform[:3, :3]) == pytest.approx(1)
 
 
-def test_render_returns_the_camera_picture():
-    env = make(renderer="rays", render_mode="rgb_array")
-    observation, _ = env.reset(seed=0)
-    picture = env.render()
-    assert picture is not None
-    assert np.array_equal(picture, observation["rgb"])
-    picture[:] = 0
-    again = env.render()
-    assert again is not None
-    assert np.array_equal(again, observation["rgb"])
-
-
-@needs_gl
-def test_many_gl_environments_live_together():
-    envs = [make(renderer="gl", camera=size) for size in ([84, 84], "rl", [84, 84])]
-    action = np.full(6, 0.5, np.float32)
-    for env in envs:
-        env.reset(seed=1)
-    frames = [env.step(action)[0]["rgb"] for env in envs]
-    assert np.array_equal(frames[0], frames[2])
-    envs[0].close()
-    envs[0].close()
-    after = envs[2].step(action)[0]["rgb"]
-    envs[0].reset(seed=1)  # opens its camera again
-    assert np.array_equal(envs[0].step(action)[0]["rgb"], frames[0])
-    assert np.array_equal(envs[0].step(action)[0]["rgb"], after)
-    for env in envs:
-        env.close()
-
-
 FORK = """
 import os
 import gymnasium as gym, numpy as np, shape_obs_envs
@@ -269,6 +239,7 @@ def test_auto_says_once_that_it_uses_gl(caplog, monkeypatch):
     ]
 
 
+@pytest.mark.nightly
 @needs_gl
 def test_torch_still_optimises_after_rendering(tmp_path):
     """Mesa puts its LLVM into the global scope; triton, loaded by torch's first optimiser, must not take it."""

@@ -29,6 +29,7 @@ def near_an_edge(*pictures: np.ndarray, least: int = 25) -> np.ndarray:
     return out
 
 
+@pytest.mark.nightly
 @needs_gl
 @pytest.mark.parametrize("name", ENVS)
 @pytest.mark.parametrize("camera", ["rl", "d455"])

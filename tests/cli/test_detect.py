@@ -1,0 +1,260 @@
+"""``shape-obs detect`` and ``demo``: one line for people per image on stderr, JSON on stdout, pictures in files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from shape_obs.drawing import GOAL, SLOTS, VALID
+
+BLUE = (30, 60, 200)
+HSV = ["--hsv", "100", "100", "50", "130", "255", "255"]
+ROPES = (((40, 60), (280, 180)), ((60, 190), (250, 40)), ((30, 220), (290, 225)))
+MASKS = """
+def blue(rgb, depth):
+    return rgb[..., 2] > rgb[..., 0].astype(int) + 60
+
+def floats(rgb, depth):
+    return rgb[..., 2] / 255.0
+"""
+
+
+def gray() -> np.ndarray:
+    return np.full((240, 320, 3), (190, 185, 180), np.uint8)
+
+
+def save(path: Path, rgb: np.ndarray) -> Path:
+    cv2.imwrite(str(path), rgb[..., ::-1])
+    return path
+
+
+@pytest.fixture
+def photo(tmp_path, monkeypatch):
+    """Return rope.png: a blue rope on gray; next to it swapped.png, depth (700 mm, or in tenths) and my_masks.py."""
+    t = np.linspace(0, 1, 400)
+    curve = np.stack([60 + 200 * t, 120 + 50 * np.sin(5 * t)], axis=1)
+    rgb = gray()
+    cv2.polylines(rgb, [np.rint(curve).astype(np.int32)], False, BLUE, 11)
+    blue = (rgb == BLUE).all(axis=2)
+    save(tmp_path / "swapped.png", rgb[..., ::-1])
+    cv2.imwrite(str(tmp_path / "depth.png"), np.where(blue, 700, 720).astype(np.uint16))
+    cv2.imwrite(str(tmp_path / "tenths.png"), np.where(blue, 30000, 30200).astype(np.uint16))
+    (tmp_path / "my_masks.py").write_text(MASKS)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(__import__("sys").modules, "my_masks", raising=False)
+    return save(tmp_path / "rope.png", rgb)
+
+
+def lines(err: str) -> list[str]:
+    """Return the lines of stderr without progress bars."""
+    return [line for line in err.replace("\r", "\n").splitlines() if "%|" not in line and line.strip()]
+
+
+def test_detect_prints_json_and_draws(photo, run):
+    code, out, err = run("detect", photo, *HSV, "--out", "o", "--ends", "tips", "--n", 12)
+    result = json.loads(out)
+    (shape,) = result["shapes"]
+    assert code == 0
+    picture = Path("o/rope.png")
+    assert err == f"{photo}: centerline found, quality {shape['quality']:.2f}, 12 points; picture: {picture}\n"
+    assert result["ok"] is True
+    assert len(shape["points2d"]) == 12
+    assert np.allclose(shape["points2d"][0], (60, 120), atol=6)
+    assert shape["points3d"] is None
+    overlay = np.asarray(Image.open(result["overlay"]))
+    assert overlay.shape == (240, 320, 3)
+    assert (overlay != np.asarray(Image.open(photo))).any()
+
+
+def test_detect_lifts_with_depth_and_intrinsics(photo, run):
+    code, out, _ = run("detect", photo, *HSV, "--depth", "depth.png", "--intrinsics", 200, 200, 160, 120)
+    (shape,) = json.loads(out)["shapes"]
+    points2d, points3d = np.array(shape["points2d"]), np.array(shape["points3d"])
+    assert code == 0
+    assert np.allclose(points3d[:, 2], 0.7)
+    assert np.allclose(points3d[:, 0], (points2d[:, 0] - 160) / 200 * 0.7, atol=1e-4)
+
+
+def test_a_wrong_unit_of_depth_is_a_line(photo, run):
+    code, out, err = run("detect", photo, *HSV, "--depth", "tenths.png", "--intrinsics", 200, 200, 160, 120)
+    assert code == 0
+    assert json.loads(out)["shapes"][0]["points3d"][0][2] == pytest.approx(30, rel=0.01)
+    assert "depth: the object is 30 m away: uint16 depth is read as millimetres" in lines(err)[0]
+    assert lines(err)[1].endswith(f"20 points, 20 with depth; picture: {Path('overlays/rope.png')}")
+
+
+def test_pick_learns_colours_that_detect_then_reads(photo, run):
+    run("detect", photo, "--pick", "160,143", "--save-config", "rope.yaml", "--out", "o")
+    segmentation = yaml.safe_load(Path("rope.yaml").read_text())["scene"]["segmentation"]
+    assert segmentation["kind"] == "click"
+    assert segmentation["picks"] == [[160.0, 143.0]]
+    code, out, _ = run("detect", photo, "--config", "rope.yaml", "--out", "o")
+    assert code == 0
+    assert json.loads(out)["ok"] is True
+
+
+def test_each_image_has_a_line_and_one_bad_file_does_not_lose_the_others(photo, run):
+    Path("junk.png").write_bytes(b"this is no picture")
+    code, out, err = run("detect", "junk.png", "rope.png", "swapped.png", "none.png", *HSV)
+    results = [json.loads(line) for line in out.splitlines()]
+    assert code == 1
+    assert [result["ok"] for result in results] == [False, True, False, False]
+    assert "not an image that can be read" in results[0]["error"]
+    assert results[2]["shapes"][0]["points2d"][0] == [None, None]
+    assert "no such file" in results[3]["error"]
+    junk, rope, swapped, none = lines(err)
+    assert junk.startswith("junk.png: ")
+    assert rope.startswith("rope.png: centerline found, quality 0.")
+    assert "swapped.png: centerline not found: the mask is empty: 0 of 76800 pixels match segmentation 'hsv'" in swapped
+    assert "with red and blue swapped" in swapped
+    assert "`shape-obs detect IMAGE --pick u,v` proposes" in swapped
+    assert none.startswith("none.png: ")
+    assert "%|" in err, "a progress bar belongs to several files"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--segmentation", "my_masks:blue"],
+        ["--config", "scene:\n  segmentation: {kind: callable, function: my_masks:blue}\n"],
+        ["--config", "scene:\n  segmentation: my_masks:blue\n"],
+    ],
+    ids=["option", "config", "short config"],
+)
+def test_a_function_in_the_current_folder_segments(photo, run, monkeypatch, arguments):
+    monkeypatch.syspath_prepend(".")
+    if arguments[0] == "--config":
+        Path("shape.yaml").write_text(f"version: 1\n{arguments[1]}")
+        arguments = ["--config", "shape.yaml"]
+    code, out, _ = run("detect", photo, *arguments)
+    _, expected, _ = run("detect", photo, *HSV)
+    assert code == 0
+    assert json.loads(out)["shapes"][0]["points2d"] == json.loads(expected)["shapes"][0]["points2d"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        ("rope.png", 2, "--config FILE, --hsv ..., --segmentation module:function or --pick"),
+        ("rope.png --pick middle", 2, "--pick: expected u,v such as 300,123, got 'middle'"),
+        ("rope.png --pick 900,5", 1, "pixel (900, 5) lies outside the image of 320 x 240"),
+        ("rope.png --pick 5,5", 1, "of the image looks like (5, 5)"),
+        ("rope.png HSV --depth a.png b.png", 2, "got 1 images but 2 depth files"),
+        ("rope.png HSV --depth a.png", 2, "--depth needs --intrinsics"),
+        ("rope.png o/rope.png HSV", 2, "several images are named 'rope'"),
+        ("rope.png HSV --n 4y8", 2, "--n: expected a number of points such as 20, or ROWSxCOLUMNS"),
+        ("rope.png HSV --n 4x8", 2, "--n: a centerline has one number of points such as 20, got '4x8'"),
+        ("rope.png HSV --shape surface --n 9", 2, "expected ROWSxCOLUMNS such as 4x8, got '9'"),
+        ("rope.png HSV --shape surface --n 1x8", 2, "rows"),
+        ("rope.png HSV --count many", 2, "--count: expected a number or 'all', got 'many'"),
+        ("rope.png HSV --count 0", 2, "count must lie in 1...16"),
+        ("rope.png HSV --out rope.png/o", 1, "cannot make the output folder rope.png/o"),
+        ("rope.png --segmentation my_masks", 2, "--segmentation: expected module:function, got 'my_masks'."),
+        ("rope.png --segmentation my_masks:bleu", 1, "module 'my_masks' has no 'bleu'; did you mean 'blue'?"),
+        ("rope.png --segmentation your_masks:blue", 1, "cannot import 'your_masks': No module named 'your_masks'"),
+    ],
+)
+def test_bad_arguments_get_one_clear_line(photo, run, monkeypatch, arguments, code, message):
+    monkeypatch.syspath_prepend(".")
+    ended, out, err = run("detect", *arguments.replace("HSV", " ".join(HSV)).split())
+    assert (ended, out) == (code, "")
+    assert message in err
+    assert len(err.strip().splitlines()) == 1
+
+
+def test_a_function_that_returns_no_mask_is_a_line_of_its_image(photo, run, monkeypatch):
+    monkeypatch.syspath_prepend(".")
+    code, _, err = run("detect", "rope.png", "--segmentation", "my_masks:floats")
+    assert code == 1
+    assert lines(err)[0].startswith("rope.png: segmentation my_masks:floats: expected a numpy array of bool or uint8")
+
+
+def towel(folder: Path) -> Path:
+    """Draw a blue rectangle with its corners at (60, 50) and (260, 190)."""
+    rgb = gray()
+    rgb[50:191, 60:261] = BLUE
+    return save(folder / "towel.png", rgb)
+
+
+def test_a_surface_has_rows_and_columns(tmp_path, run):
+    options = ["--shape", "surface", "--n", "3x5", "--ends", "tips", "--out", tmp_path / "o"]
+    code, out, _ = run("detect", towel(tmp_path), *HSV, *options)
+    assert code == 0
+    lattice = np.array(json.loads(out)["shapes"][0]["points2d"]).reshape(3, 5, 2)
+    assert np.allclose(lattice[0, 0], (60, 50), atol=2)
+    assert np.allclose(lattice[-1, -1], (260, 190), atol=2)
+    assert np.allclose(lattice[1, :, 0], np.linspace(60, 260, 5), atol=3)
+
+
+def test_an_outline_has_a_number_of_points_and_the_config_keeps_it(tmp_path, run):
+    photo, config = towel(tmp_path), tmp_path / "c.yaml"
+    place = ["--out", tmp_path / "o"]
+    code, out, _ = run(
+        "detect", photo, "--pick", "150,120", "--shape", "contour", "--n", "16", "--save-config", config, *place
+    )
+    (drawn,) = json.loads(out)["shapes"]
+    assert (code, drawn["name"], len(drawn["points2d"])) == (0, "contour", 16)
+    _, out, _ = run("detect", photo, "--config", config, *place)
+    assert json.loads(out)["shapes"][0]["points2d"] == drawn["points2d"]
+    code, _, err = run("detect", photo, "--config", config, "--n", "4x4", *place)
+    assert code == 2
+    assert "a contour has one number of points" in err
+    _, out, _ = run("detect", photo, "--config", config, "--shape", "surface", *place)
+    assert json.loads(out)["shapes"][0]["name"] == "surface"
+
+
+@pytest.fixture
+def three(tmp_path, monkeypatch):
+    """Return a photo of three blue ropes; the second lies over the first, in its own shadow."""
+    rgb = gray()
+    for start, end in ROPES:
+        cv2.line(rgb, start, end, tuple(channel // 2 for channel in BLUE), 11, cv2.LINE_AA)
+        cv2.line(rgb, start, end, BLUE, 7, cv2.LINE_AA)
+    monkeypatch.chdir(tmp_path)
+    return save(tmp_path / "ropes.png", rgb)
+
+
+def test_all_ropes_are_found_drawn_in_their_own_colours_with_their_crossing(three, run):
+    code, out, _ = run("detect", three, *HSV, "--ends", "tips", "--count", "all")
+    result = json.loads(out)
+    assert code == 0
+    assert [shape["name"] for shape in result["shapes"]] == ["centerline0", "centerline1", "centerline2"]
+    assert all(shape["ok"] for shape in result["shapes"])
+    assert result["more"] == {}
+    ends = {shape["name"]: sorted(tuple(shape["points2d"][k]) for k in (0, -1)) for shape in result["shapes"]}
+    assert np.allclose(sorted(map(sorted, ROPES)), sorted(ends.values()), atol=8)
+    overlay = np.asarray(Image.open(result["overlay"])).reshape(-1, 3)
+    for colour in SLOTS[:3]:
+        assert (np.abs(overlay - np.array(colour)).max(axis=1) < 5).sum() > 80
+    (crossing,) = result["crossings"]
+    assert np.allclose(crossing["pixel"], (153.1, 116.6), atol=2)
+    assert np.allclose(ends[crossing["slots"][crossing["above"]]], sorted(ROPES[1]), atol=8)
+
+
+def test_a_count_leaves_out_what_has_no_slot(three, run):
+    code, out, _ = run("detect", three, *HSV, "--count", "2", "--n", "9")
+    result = json.loads(out)
+    assert code == 0
+    assert [len(shape["points2d"]) for shape in result["shapes"]] == [9, 9]
+    assert result["more"] == {"centerline": 1}
+
+
+def test_demo_runs_without_gl_and_writes_its_pictures(tmp_path, run):
+    pytest.importorskip("mujoco")
+    code, out, _ = run("demo", "--out", tmp_path, "--steps", 6, "--camera", "rl", "--renderer", "rays")
+    assert code == 0
+    assert "20 points" in out
+    assert "not ok: 0, order reversed: 0" in out
+    picture = np.asarray(Image.open(tmp_path / "demo.png"))
+    assert 1000 < picture.shape[1] < 2000
+    assert picture.shape[0] < picture.shape[1] / 2, "cropped to the cable"
+    for colour in (GOAL, VALID):
+        assert (picture == colour).all(axis=2).any()
+    assert getattr(Image.open(tmp_path / "demo.gif"), "n_frames", 1) >= 5
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["demo.gif", "demo.png"], "nothing half-written stays"
