@@ -63,6 +63,11 @@ def commands(code: str) -> list[str]:
 
 
 WITH_CODE = [page for page in PAGES if any(not block.reason for block in blocks(page))]
+# The slowest pages, with robots and trained policies.
+AT_NIGHT = {
+    "how-to/deploy-a-policy.md", "how-to/export-to-lerobot.md", "how-to/record-a-robot.md", "how-to/save-a-policy.md",
+    "how-to/test-without-a-robot.md", "reference/cli/demo.md",
+}  # fmt: skip
 COMMANDS = [
     (page, command)
     for page in PAGES
@@ -89,7 +94,11 @@ def samples(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("page", WITH_CODE, ids=name)
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(page, marks=pytest.mark.nightly) if name(page) in AT_NIGHT else page for page in WITH_CODE],
+    ids=name,
+)
 def test_samples_run(page, tmp_path, monkeypatch, request):
     text = read(page)
     wanted = [block for block in blocks(page) if not block.reason]

@@ -170,8 +170,7 @@ class TestEveryEnv:
 
     def test_bad_input_raises_an_error(self, name):
         env = make(name)
-        env.reset(seed=0)
-        count = len(env.observation_space["desired_goal"].low) // 3
+        count = len(env.reset(seed=0)[0]["desired_goal"]) // 3
         for options, message in (
             ({"gaol": 1}, r"options: expected one of 'start', 'goal', got 'gaol'. Did you mean 'goal'"),
             ({"goal": [1.0, 2.0]}, rf"options\['goal'\]: expected {count} points .* got an array of shape \(2,\)"),
@@ -180,9 +179,8 @@ class TestEveryEnv:
         ):
             with pytest.raises(ValueError, match=message):
                 env.reset(options=options)
-        shape = env.action_space.shape or ()
-        with pytest.raises(ValueError, match=rf"action: expected \({shape[0]},\) finite numbers"):
-            env.step(np.full(shape, np.nan, np.float32))
+        with pytest.raises(ValueError, match=r"action: expected \(\d,\) finite numbers"):
+            env.step(np.full(env.action_space.shape or (), np.nan, np.float32))
         for arguments, message in (
             ({"difficulty": "easy"}, r"difficulty: expected one of 'near', 'middle', 'far', got 'easy'"),
             ({"render_observation": "no"}, r"render_observation: expected one of True, False, got 'no'"),
