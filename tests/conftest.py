@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"):
@@ -25,6 +27,19 @@ from shape_obs.bench.scenes import Rope, draw_rope
 cv2.setNumThreads(1)
 settings.register_profile("shape_obs", deadline=None, max_examples=30, derandomize=True)
 settings.load_profile("shape_obs")
+
+
+@pytest.fixture
+def default_signals() -> Iterator[None]:
+    """Treat signals as a shell's job in the foreground does: one in the background inherits that some are ignored."""
+    defaults = {
+        "SIGINT": signal.default_int_handler, "SIGQUIT": signal.SIG_DFL, "SIGHUP": signal.SIG_DFL,
+    }  # fmt: skip
+    numbers = {getattr(signal, name): handler for name, handler in defaults.items() if hasattr(signal, name)}
+    before = {number: signal.signal(number, handler) for number, handler in numbers.items()}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture(scope="session")

@@ -23,8 +23,8 @@ class Arguments(ControllerArguments):
     """Run a trained policy or another controller on a robot at a fixed rate, using only the camera.
 
     At the end of every run the robot is stopped, sent to its safe pose and disconnected, also after Ctrl-C, SIGTERM,
-    SIGHUP and SIGQUIT. The exit code is 1 if the camera or the robot failed, the shape stayed lost, or the loop hung,
-    and 128 plus the signal's number after a signal.
+    SIGQUIT and, unless run under nohup, SIGHUP. The exit code is 1 if the camera or the robot failed, the shape stayed
+    lost, or the loop hung, and 128 plus the signal's number after a signal.
     """
 
     seconds: Annotated[float, Option("SECONDS", "run", above=0)] = 60.0

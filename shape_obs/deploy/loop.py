@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -15,6 +14,7 @@ from shape_obs.deploy.safety import Gate, Judgement, Limits, Watchdog
 from shape_obs.deploy.supervision import Interrupted, SignalStop, supervised
 from shape_obs.frame import Frame
 from shape_obs.shape import Detection
+from shape_obs.utils.timing import Clock
 
 if TYPE_CHECKING:
     import gymnasium as gym
@@ -58,8 +58,8 @@ def deploy(
     """Run a controller on a robot, and stop, park and disconnect the robot at the end, also after an error.
 
     The environment keeps the rate with absolute deadlines, and its action limiter clips actions, limits steps and keeps
-    the robot in the workspace. SIGINT, SIGTERM, SIGHUP and SIGQUIT stop the robot at once, from a thread, if this
-    function is called in the main thread.
+    the robot in the workspace. SIGINT, SIGTERM, SIGQUIT and, unless ``nohup`` made the process ignore it, SIGHUP stop
+    the robot at once, from a thread, if this function is called in the main thread.
 
     Args:
         env: ``ShapeObs/D455-v0`` with a robot, in a ``ShapeObservation`` and, if there is a goal, a ``ShapeGoal``.
@@ -116,6 +116,7 @@ class _Run:
         self._env, self._controller, self._on_step = env, controller, on_step
         self._log, self._record = log, record
         self._robot_env: Any = env.unwrapped
+        self._clock: Clock = self._robot_env.clock
         self._robot_env.max_age = limits.max_age
         dt = self._robot_env.rate.dt
         if dt >= limits.max_age:
@@ -129,7 +130,7 @@ class _Run:
         self._limits, self._gate, self._tally = limits, Gate(limits), Tally()
         self._signals = signals
         self._info: dict[str, Any] = {}
-        self._count, self._begin = 0, time.monotonic()
+        self._count, self._begin = 0, self._clock.now()
         self.report: Report | None = None
 
     def go(self, steps: int | None, seconds: float | None, until_reached: int) -> Report:
@@ -153,7 +154,7 @@ class _Run:
             finally:
                 self.report = self._tally.report(
                     steps=self._count,
-                    seconds=time.monotonic() - self._begin,
+                    seconds=self._clock.now() - self._begin,
                     overruns=self._robot_env.rate.overruns,
                     expired=interlock.expired - expired,
                     ended=ended,
@@ -170,15 +171,15 @@ class _Run:
     def _loop(self, steps: int | None, seconds: float | None, until_reached: int) -> tuple[str, bool]:
         """Step until the run ends; return the reason, and whether it is an error."""
         observation, self._info = self._env.reset()
-        self._begin, reached = time.monotonic(), 0
+        self._begin, reached = self._clock.now(), 0
         if self._record is not None:
             self._record.begin(self._robot_env)
         interlock, limits = self._robot_env.interlock, self._limits
-        with Watchdog(lambda: interlock.trip("watchdog"), limits.watchdog) as watchdog:
+        with Watchdog(lambda: interlock.trip("watchdog"), limits.watchdog, self._clock) as watchdog:
             while True:
                 watchdog.feed()
                 self._signals.check()
-                judgement = self._gate.judge(self._info, time.monotonic())
+                judgement = self._gate.judge(self._info, self._clock.now())
                 if judgement.move == "stop":
                     return judgement.reason, True
                 observation, over = self._step(observation, judgement)
@@ -193,13 +194,13 @@ class _Run:
                     return "the episode was over", False
                 if until_reached and reached >= until_reached:
                     return f"the goal was reached in {reached} consecutive frames", False
-                if self._count == steps or (seconds is not None and time.monotonic() - self._begin >= seconds):
+                if self._count == steps or (seconds is not None and self._clock.now() - self._begin >= seconds):
                     return "time limit reached", False
 
     def _step(self, observation: Any, judgement: Judgement) -> tuple[Any, bool]:
         """Act or hold; return the next observation, and whether the episode is over."""
         robot_env, tally, info = self._robot_env, self._tally, self._info
-        frame, seen_at, begin = robot_env.frame, robot_env.seen_at, time.monotonic()
+        frame, seen_at, begin = robot_env.frame, robot_env.seen_at, self._clock.now()
         detection: Detection = self._env.get_wrapper_attr("detection")
         source, state = sum(getattr(robot_env.source, "timings", {}).values()), robot_env.robot.state()
         if self._record is not None:
@@ -207,7 +208,7 @@ class _Run:
         action = None
         if judgement.move == "act":
             action = checked_action(self._controller.act(observation), self._spec, self._controller)
-        acted = time.monotonic()
+        acted = self._clock.now()
         following, reward, terminated, truncated, self._info = self._env.step(action)
         if robot_env.withheld:  # the image became too old before the motion was sent
             action, judgement = None, Judgement("hold", robot_env.withheld, f"not sent: {robot_env.withheld}")

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import TracebackType
@@ -12,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from shape_obs.robot import ActionSpec, Anchors, Array, Robot, measured, robot_anchors, robot_name
 from shape_obs.spec import Spec, SpecError
+from shape_obs.utils.timing import CLOCK, Clock
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -117,40 +116,34 @@ class Watchdog:
     Args:
         act: Called from a thread when the time limit is reached.
         seconds: Time limit.
+        clock: Time, and the thread that watches it.
 
     Attributes:
         expired: Whether the time limit was reached.
     """
 
-    def __init__(self, act: Callable[[], None], seconds: float) -> None:
-        self._act, self._seconds = act, seconds
-        self._fed = time.monotonic()
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
+    def __init__(self, act: Callable[[], None], seconds: float, clock: Clock = CLOCK) -> None:
+        self._act, self._seconds, self._clock = act, seconds, clock
+        self._alarm = clock.alarm(self._bite, "watchdog")
         self.expired = False
 
     def feed(self) -> None:
         """Restart the time limit."""
-        self._fed = time.monotonic()
+        if not self.expired:
+            self._alarm.set(self._clock.now() + self._seconds)
 
-    def _watch(self) -> None:
-        left = self._seconds
-        while not self._over.wait(left):
-            left = self._fed + self._seconds - time.monotonic()
-            if left <= 0:
-                self.expired = True
-                self._act()
-                return
+    def _bite(self) -> None:
+        self.expired = True
+        self._act()
 
     def __enter__(self) -> Self:
         self.feed()
-        self._thread.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._over.set()
+        self._alarm.close()
 
 
 class DryRobot:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 SIGNALS: Final = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK") if hasattr(signal, name)
 )
+_HANGUP: Final = getattr(signal, "SIGHUP", None)
 _END: Final = 0  # no signal has this number
 #: Longest time in seconds that the main thread waits until the robot is stopped, before it ends the run.
 _PATIENCE: Final = 1.0
@@ -54,8 +55,9 @@ class SignalStop:
     The first signal raises in the main thread as soon as that runs Python code again. Later signals only call the
     function, so that they do not interrupt an orderly end; ``raising`` makes the next signal raise too.
 
-    A signal that the process ignores, such as SIGHUP under ``nohup``, stays ignored. Outside the main thread, Python
-    cannot set handlers, and this does nothing. Use it as a context manager; of nested ones, the innermost acts.
+    A shell starts jobs in the background with SIGINT and SIGQUIT ignored; they stop the robot all the same. An ignored
+    SIGHUP stays ignored: ``nohup`` asks to go on when the terminal is closed. Outside the main thread, Python cannot
+    set handlers, and this does nothing. Use it as a context manager; of nested ones, the innermost acts.
 
     Args:
         stop: Stops the robot; called with the name of the signal, from any thread.
@@ -100,7 +102,7 @@ class SignalStop:
         self._thread = threading.Thread(target=self._wait, name="signals", daemon=True)
         self._thread.start()
         for signum in SIGNALS:
-            if signal.getsignal(signum) is not signal.SIG_IGN:
+            if signum != _HANGUP or signal.getsignal(signum) is not signal.SIG_IGN:
                 self._previous[signum] = signal.signal(signum, self._handle)
         return self
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
 from typing import Final, Literal
 
@@ -13,6 +12,7 @@ from shape_obs.tuner.pictures import encode, overlay
 from shape_obs.tuner.player import Player
 from shape_obs.tuner.result import Finder, Result
 from shape_obs.tuner.session import Session
+from shape_obs.utils.timing import CLOCK, Clock
 
 State = Literal["starting", "playing", "paused", "ended", "waiting", "lost", "released"]
 
@@ -33,6 +33,7 @@ class Engine:
         source: The source; the thread connects and disconnects it.
         session: The settings.
         patience: Seconds without a page, after which a camera is released.
+        clock: Time, and the ways to wait for it.
 
     Attributes:
         result: The newest result; None before the first frame.
@@ -44,8 +45,8 @@ class Engine:
         latencies: Milliseconds by stage, smoothed.
     """
 
-    def __init__(self, source: RGBDSource, session: Session, *, patience: float = 5.0) -> None:
-        self.session, self.player = session, Player(source)
+    def __init__(self, source: RGBDSource, session: Session, *, patience: float = 5.0, clock: Clock = CLOCK) -> None:
+        self.session, self.player, self._clock = session, Player(source), clock
         self.result: Result | None = None
         self.jpeg = b""
         self.state: State = "starting"
@@ -53,7 +54,7 @@ class Engine:
         self.playing = bool(source.live) or session.rule is not None  # else wait for the first click
         self.position = -1
         self.latencies: dict[str, float] = {}
-        self._patience, self._pages, self._alone_since = patience, 0, time.monotonic()
+        self._patience, self._pages, self._alone_since = patience, 0, self._clock.now()
         self._times: deque[float] = deque(maxlen=60)
         self._wake = threading.Condition()
         self._over, self._target, self._due = False, -1, 0.0
@@ -75,7 +76,7 @@ class Engine:
     @property
     def updates_per_second(self) -> float:
         """How many results there were in the last two seconds, per second."""
-        since = time.monotonic() - 2.0
+        since = self._clock.now() - 2.0
         return sum(moment > since for moment in list(self._times)) / 2.0
 
     def start(self) -> None:
@@ -107,7 +108,7 @@ class Engine:
         """Count one page less."""
         with self._wake:
             self._pages -= 1
-            self._alone_since = time.monotonic()
+            self._alone_since = self._clock.now()
             self._wake.notify_all()
 
     def play(self) -> None:
@@ -157,7 +158,7 @@ class Engine:
                     self._reopen(finder)
                 elif self._target >= 0:
                     self._go_to_target(finder)
-                elif self.playing and time.monotonic() >= self._due:
+                elif self.playing and self._clock.now() >= self._due:
                     self._advance(finder)
                 elif not finder.is_current and self._moment is not None:
                     self._show(finder.find(self._moment))
@@ -170,24 +171,25 @@ class Engine:
     def _wait(self, finder: Finder) -> bool:
         """Wait until there is something to do; return False at the end."""
         with self._wake:
-            now = time.monotonic()
+            now = self._clock.now()
             if self._over:
                 return False
             if self._pages == 0:
                 left = self._alone_since + self._patience - now if self.live and self.state != "released" else None
-                self._wake.wait(None if left is None else max(left, 0.0))
+                self._clock.wait(self._wake, None if left is None else max(left, 0.0))
             elif self.state == "lost":
-                self._wake.wait_for(lambda: self._over, _RETRY)
+                while not self._over and (left := now + _RETRY - self._clock.now()) > 0:
+                    self._clock.wait(self._wake, left)
             elif self._target < 0 and finder.is_current and self.state != "released":
                 if not self.playing:
                     self.state = "ended" if self.state == "ended" else "paused"
-                    self._wake.wait()
+                    self._clock.wait(self._wake, None)
                 elif self._due > now:
-                    self._wake.wait(self._due - now)
+                    self._clock.wait(self._wake, self._due - now)
             return not self._over
 
     def _release(self) -> None:
-        if self.live and self.state != "released" and time.monotonic() >= self._alone_since + self._patience:
+        if self.live and self.state != "released" and self._clock.now() >= self._alone_since + self._patience:
             self.player.close()
             self.state, self.message = "released", "The camera was released while no page was open."
 
@@ -221,7 +223,7 @@ class Engine:
 
     def _advance(self, finder: Finder) -> None:
         """Read the next frame and process it."""
-        begin, before = time.monotonic(), self._moment
+        begin, before = self._clock.now(), self._moment
         try:
             moment = self.player.next(_TIMEOUT)
         except EndOfSource as end:
@@ -251,7 +253,7 @@ class Engine:
         self.jpeg = encode(overlay(result))
         self.result = result
         self.position = self.player.position
-        self._times.append(time.monotonic())
+        self._times.append(self._clock.now())
         for stage, ms in ({} if result.detection is None else result.detection.timings).items():
             before = self.latencies.get(stage, ms)
             self.latencies[stage] = _SMOOTH * before + (1 - _SMOOTH) * ms

@@ -1,39 +1,39 @@
-"""The deployment loop: actions, withheld actions, and the end of a run."""
+"""The deployment loop: what is acted on, what is withheld, and how a run ends."""
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
-from urllib.request import urlopen
+from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
-from cell_parts import HEIGHT, ROPE, WIDTH, ListRobot, RopeSource
-from deploy_parts import PATIENT, Always, cell
+from fake_cell import PATIENT, ROPE, Always, FakeRobot, cell, make_env
 
 from shape_obs import ShapeGoal, ShapeObservation
 from shape_obs.deploy import DryRobot, Gate, Limits, Script, Still, Sway, deploy
 from shape_obs.robot import ActionSpec
+from shape_obs.utils.timing import CLOCK
 
 
 def test_a_run_moves_the_robot_and_ends_by_stopping_parking_and_disconnecting():
     env, robot, _ = cell()
     report = deploy(env, Always(), PATIENT, steps=5)
-    assert report.steps == report.acted == 5
-    assert report.held == 0
-    assert not report.failed
+    assert (report.steps, report.acted, report.held, report.failed) == (5, 5, 0, False)
     assert report.ended == "time limit reached"
     assert robot.command == pytest.approx([0.05, 0.0])
     assert robot.calls.count("send") == 5
     assert robot.calls[-4:] == ["stop", "park", "stop", "disconnect"]
+    assert np.diff(robot.when("send")) == pytest.approx(0.02), "50 steps per second"
+    assert deploy(cell()[0], Always(), PATIENT, seconds=0.19).steps == 10
 
 
-def test_sections_add_up_to_what_lies_between_image_and_action():
-    env, *_ = cell()
-    sections = deploy(env, Always(), steps=10).sections
+def test_the_real_clock_gives_the_rate_and_the_sections_of_a_step():
+    env, *_ = cell(FakeRobot(clock=CLOCK))
+    report = deploy(env, Always(), PATIENT, steps=10)
+    assert 0.199 <= report.seconds < 0.5
+    sections = report.sections
     assert set(sections) == {"source", "detect", "between", "act", "send", "own", "age"}
-    assert sections["own"].most >= sections["detect"].median
+    assert sections["own"].most >= sections["detect"].median > 0
     assert all(section.median <= section.p95 <= section.most for section in sections.values())
 
 
@@ -61,110 +61,73 @@ def test_the_gate_lets_only_through_what_is_known_to_be_good(info, cause):
         assert gate.judge(info, 10.8).move == "hold"  # the next wait begins
 
 
-def test_nothing_is_done_on_a_lost_shape_and_the_run_ends_when_it_stays_lost():
-    env, robot, source = cell()
-    begun: list[float] = []
+@pytest.mark.parametrize("back", [False, True])
+def test_nothing_is_done_on_a_lost_shape_and_the_run_ends_when_it_stays_lost(back):
+    env, robot, camera = cell()
+    moves = []
 
-    def darken():
-        source.dark = True
-        return np.array([1.0, 0.0])
+    def on_step(step):
+        moves.append(step.judgement.move)
+        camera.dark = 3 <= step.step < (8 if back else 99)
 
-    report = deploy(
-        env,
-        Always({3: darken}),
-        replace(PATIENT, hold=0.15),
-        steps=100,
-        on_step=lambda step: begun.append(time.monotonic()),
-    )
-    assert report.failed
-    assert "no shape in the present frame" in report.ended
-    assert report.acted == 4  # the action of step 3 was decided on a good image
+    report = deploy(env, Always(), replace(PATIENT, hold=0.15), steps=20, on_step=on_step)
+    assert moves[:5] == ["act"] * 5  # step 4 decided on the last good image
+    assert moves[5] == "hold"
     assert report.reasons == {"shape lost": report.held}
-    assert begun[-1] - begun[3] >= 0.15 - env.unwrapped.rate.dt
-    assert report.held <= 9  # 0.15 s at 50 Hz, and the steps around them
-    assert robot.calls.count("send") == 4
-
-
-def test_it_goes_on_when_the_shape_comes_back_in_time():
-    env, _, source = cell()
-
-    def darken():
-        source.dark = True
-        return np.zeros(2)
-
-    shown = []
-
-    def on_step(moment):
-        shown.append(moment.judgement.move)
-        if moment.step == 8:
-            source.dark = False
-
-    report = deploy(env, Always({3: darken}), replace(PATIENT, hold=9.0), steps=20, on_step=on_step)
-    assert not report.failed
-    assert "hold" in shown
-    assert shown[-1] == "act"
-    assert shown.count("hold") == report.held
+    assert robot.calls.count("send") == report.acted == moves.count("act")
+    if back:
+        assert (report.failed, moves[-1]) == (False, "act")
+    else:
+        assert report.failed
+        assert "no shape in the present frame" in report.ended
+        assert report.held == 8  # 0.15 s at 50 Hz
 
 
 def test_images_that_come_late_are_not_acted_on():
-    env, _, source = cell()
-
-    def late():
-        source.delay = 0.3
-        return np.zeros(2)
-
-    report = deploy(env, Always({3: late}), Limits(hold=0.1, max_age=0.1), steps=100)
+    env, _, camera = cell()
+    report = deploy(env, Always({3: lambda: setattr(camera, "delay", 0.3)}), Limits(hold=0.1, max_age=0.1), steps=100)
     assert report.failed
     assert "ms old" in report.ended
     assert report.acted == 4
 
 
-def test_an_action_that_took_too_long_is_not_sent():
+@pytest.mark.parametrize("slow", ["controller", "robot"])
+def test_an_action_that_took_too_long_is_not_sent_counts_as_held_and_the_controller_is_informed(slow):
     env, robot, _ = cell()
+    withheld = []
 
     def ponder():
-        time.sleep(0.7)
-        return np.array([1.0, 0.0])
+        if slow == "controller":
+            robot.clock.sleep(0.7)
+        else:
+            robot.slow["state"] = 0.7
 
-    report = deploy(env, Always({2: ponder}), Limits(max_age=0.5), steps=6)
-    assert (report.acted, report.reasons) == (5, {"image old": 1})
+    controller: Any = Always({2: ponder})
+    controller.withheld = lambda: withheld.append(controller._step)
+    report = deploy(env, controller, Limits(max_age=0.5), steps=6)
+    assert (report.acted, report.held, report.reasons) == (5, 1, {"image old": 1})
     assert robot.calls.count("send") == 5
+    assert withheld == [2]
 
 
-def test_a_camera_that_fails_ends_the_run_and_stops_the_robot():
-    env, robot, source = cell()
-
-    def unplug():
-        source.gone = True
-        return np.zeros(2)
-
-    report = deploy(env, Always({2: unplug}), steps=100)
+@pytest.mark.parametrize("fault", ["stalls", "is unplugged", "robot"])
+def test_a_camera_or_a_robot_that_fails_ends_the_run_and_the_robot_is_stopped_and_parked(fault):
+    env, robot, camera = cell()
+    act, ended = {
+        "stalls": (camera.stall, "no frame in"),
+        "is unplugged": (camera.unplug, "it was unplugged"),
+        "robot": (lambda: robot.broken.add("send"), "the robot is in an emergency stop"),
+    }[fault]
+    report = deploy(env, Always({2: act}), steps=100)
     assert report.failed
-    assert "no frame in" in report.ended
-    assert robot.calls[-1] == "disconnect"
-    assert "park" in robot.calls
-
-
-def test_a_robot_that_fails_ends_the_run():
-    env, robot, _ = cell()
-
-    def fail():
-        robot.fails = True
-        return np.zeros(2)
-
-    report = deploy(env, Always({2: fail}), steps=100)
-    assert report.failed
-    assert report.ended == "the robot is in an emergency stop"
+    assert ended in report.ended
+    assert robot.calls[-4:] == ["stop", "park", "stop", "disconnect"]
 
 
 def test_a_controller_that_raises_leaves_the_robot_stopped_and_parked():
     env, robot, _ = cell()
-
-    def fail():
-        raise ZeroDivisionError
-
     with pytest.raises(ZeroDivisionError):
-        deploy(env, Always({2: fail}), steps=100)
+        deploy(env, Always({2: lambda: 1 / 0}), steps=100)
     assert robot.calls.index("park") > robot.calls.index("stop")
     assert robot.calls[-1] == "disconnect"
 
@@ -177,20 +140,46 @@ def test_an_action_that_is_none_is_refused(action):
     assert robot.calls.count("send") == 0
 
 
-def test_the_watchdog_stops_the_robot_while_the_controller_hangs():
+@pytest.mark.parametrize("where", ["controller", "robot"])
+def test_the_watchdog_stops_the_robot_while_the_loop_hangs_and_nothing_is_sent_afterwards(where):
     env, robot, _ = cell()
-    seen = []
+    before = []
 
     def hang():
-        time.sleep(0.6)
-        seen.append(robot.calls.count("stop"))
-        return np.zeros(2)
+        before.append(robot.clock.now())
+        if where == "controller":
+            robot.clock.sleep(0.6)
+        else:
+            robot.slow["state"] = 0.6
 
     report = deploy(env, Always({2: hang}), Limits(watchdog=0.2, max_age=9), steps=100)
-    assert seen == [1]
-    assert robot.calls.count("send") == 2  # what the controller said in the end was not sent
+    assert robot.calls.count("send") == 2
+    assert robot.when("stop")[0] == pytest.approx(before[0] + 0.2)
+    assert max(robot.when("send")) < robot.when("stop")[0]
     assert report.failed
     assert "watchdog" in report.ended
+
+
+def test_the_watchdog_leaves_a_loop_alone_that_goes_round():
+    env, *_ = cell()
+    report = deploy(env, Always(), Limits(watchdog=0.1, max_age=9.0), steps=40)
+    assert (report.ended, report.acted) == ("time limit reached", 40)
+
+
+@pytest.mark.parametrize("mode", ["velocity", "displacement"])
+def test_a_stalled_camera_means_no_motion_after_max_age(mode):
+    """The limit of the run replaces that of the environment."""
+    env, robot, camera = cell(FakeRobot(mode=mode, low=[-9, -9], high=[9, 9]), timeout=1.0, max_age=5.0)
+    exposed = []
+
+    def stall():
+        exposed.append(env.unwrapped.frame.received)
+        camera.stall()
+
+    report = deploy(env, Always({5: stall}), Limits(max_age=0.2), steps=50)
+    assert "no frame in" in report.ended
+    assert robot.when("stop")[0] == pytest.approx(exposed[0] + 0.2)
+    assert report.expired == 1
 
 
 def test_steps_that_are_longer_than_a_motion_may_be_are_warned_of():
@@ -200,13 +189,7 @@ def test_steps_that_are_longer_than_a_motion_may_be_are_warned_of():
     assert report.expired == 2
 
 
-def test_the_watchdog_leaves_a_loop_alone_that_goes_round():
-    env, *_ = cell()
-    report = deploy(env, Always(), Limits(watchdog=0.5, max_age=9.0), steps=40)  # 0.8 s
-    assert (report.ended, report.acted) == ("time limit reached", 40)
-
-
-def test_other_coordinates_are_refused_before_anything_moves():
+def test_what_cannot_be_deployed_is_refused_before_anything_moves():
     env, robot, _ = cell()
 
     class Joints(Always):
@@ -214,25 +197,20 @@ def test_other_coordinates_are_refused_before_anything_moves():
 
     with pytest.raises(ValueError, match=r"controller Joints acts in other coordinates.*units.*mode.*frame"):
         deploy(env, Joints(), steps=3)
-    assert "send" not in robot.calls
     with pytest.raises(TypeError, match="act"):
         deploy(env, object(), steps=3)
-
-
-def test_what_cannot_be_deployed_is_refused():
-    env, *_ = cell()
+    assert "send" not in robot.calls
     with pytest.raises(ValueError, match="wrap it in ShapeObservation"):
         deploy(env.env, Still(), steps=1)
-    bare = gym.make("shape_obs_envs:ShapeObs/D455-v0", source=RopeSource(), size=[WIDTH, HEIGHT])
     with pytest.raises(ValueError, match="needs an environment with a robot"):
-        deploy(ShapeObservation(bare, **ROPE), Still(), steps=1)
+        deploy(ShapeObservation(make_env(), **ROPE), Still(), steps=1)
 
 
 def test_a_dry_run_moves_nothing():
-    robot = ListRobot()
-    dry = DryRobot(robot)
-    env, *_ = cell(dry, RopeSource(robot))
-    report = deploy(env, Always(), PATIENT, steps=4)
+    robot = FakeRobot()
+    dry: Any = DryRobot(robot)
+    camera = cell(robot)[2]
+    report = deploy(cell(dry, camera)[0], Always(), PATIENT, steps=4)
     assert report.acted == dry.sent == 4
     assert robot.command == pytest.approx([0, 0])
     assert not {"send", "reset", "park"} & set(robot.calls)
@@ -242,10 +220,9 @@ def test_a_goal_is_reached_and_ends_the_run():
     env, robot, _ = cell()
     env.reset()
     goal = env.detection["centerline"].points3d.astype(float)
-    goal = env.get_wrapper_attr("camera_model").to_base(goal) + (0.05, 0, 0)
-    env = ShapeGoal(env, goal=goal)
+    env = ShapeGoal(env, goal=env.get_wrapper_attr("camera_model").to_base(goal) + (0.05, 0, 0))
 
-    class Push(Always):
+    class Push:
         def act(self, observation):
             away = (observation["desired_goal"] - observation["achieved_goal"]).reshape(-1, 3).mean(axis=0)
             return np.clip([away[0] / 0.01, 0.0], -1, 1)
@@ -257,7 +234,7 @@ def test_a_goal_is_reached_and_ends_the_run():
 
 
 def test_sway_comes_back_and_scripts_are_checked(tmp_path):
-    spec = ListRobot(4).action_spec
+    spec = FakeRobot(4).action_spec
     sway = Sway(share=0.5, period=30)
     sway.bind(spec)
     moves = np.array([sway.act(None) for _ in range(30)])
@@ -268,22 +245,6 @@ def test_sway_comes_back_and_scripts_are_checked(tmp_path):
     script.bind(spec)
     assert [script.act(None)[0] for _ in range(4)] == [0.25, 0.25, 0.25, 0.0]
     with pytest.raises(ValueError, match="its rows have 4 numbers, the robot takes 2"):
-        script.bind(ListRobot(2).action_spec)
+        script.bind(FakeRobot(2).action_spec)
     with pytest.raises(FileNotFoundError, match="no such file of actions"):
         Script(tmp_path / "b.csv")
-
-
-def test_the_live_view_is_a_page_and_does_not_hold_the_loop_up(capsys):
-    pytest.importorskip("viser")
-    from shape_obs.deploy.view import LiveView
-
-    env, *_ = cell()
-    view = LiveView(0, env)
-    try:
-        with urlopen(view.url, timeout=10) as page:
-            assert page.status == 200
-        report = deploy(env, Still(), steps=10, on_step=view.show)
-    finally:
-        view.close()
-    assert report.steps == 10
-    assert capsys.readouterr().out == ""

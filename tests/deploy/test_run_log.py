@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import pickle
-import time
+import threading
 from typing import Any
 
 import numpy as np
 import pytest
-from deploy_parts import PATIENT, Always, cell
+from fake_cell import PATIENT, Always, cell
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,94 +19,82 @@ from shape_obs.deploy.run_log import Tally
 
 
 def test_the_log_has_every_step_and_names_what_ran(tmp_path):
-    env, *_ = cell()
-    report = deploy(env, Sway(period=20), PATIENT, steps=6, log=RunLog(tmp_path / "run", {"controller": "Sway"}))
-    rows = [json.loads(line) for line in (tmp_path / "run" / "steps.jsonl").read_text().splitlines()]
+    run = tmp_path / "run"
+    report = deploy(cell()[0], Sway(period=20), PATIENT, steps=6, log=RunLog(run, {"controller": "Sway"}))
+    rows = [json.loads(line) for line in (run / "steps.jsonl").read_text().splitlines()]
     assert [row["step"] for row in rows] == list(range(6))
-    assert all(len(row["shapes"][0]["points3d"]) == 10 for row in rows)
-    assert all(len(row["shapes"][0]["sigma"]) == 10 and row["shapes"][0]["track_id"] == 1 for row in rows)
-    assert {row["warning"] for row in rows} == {""}
-    assert json.loads((tmp_path / "run" / "run.json").read_text())["algorithm"] == ALGORITHM
-    assert all(row["move"] == "act" and len(row["action"]) == 2 for row in rows)
-    assert json.loads((tmp_path / "run" / "run.json").read_text())["controller"] == "Sway"
-    assert json.loads((tmp_path / "run" / "report.json").read_text())["steps"] == report.steps
+    for row in rows:
+        (shape,) = row["shapes"]
+        assert (len(shape["points3d"]), len(shape["sigma"]), shape["track_id"]) == (10, 10, 1)
+        assert (row["move"], len(row["action"]), row["warning"]) == ("act", 2, "")
+    header = json.loads((run / "run.json").read_text())
+    assert (header["algorithm"], header["controller"]) == (ALGORITHM, "Sway")
+    assert json.loads((run / "report.json").read_text())["steps"] == report.steps
     with pytest.raises(FileExistsError, match="holds a run already"):
-        RunLog(tmp_path / "run", {})
+        RunLog(run, {})
 
 
-def test_steps_of_a_run_that_dies_are_on_disk(tmp_path):
-    env, *_ = cell()
-
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError("a mistake")])
+def test_a_run_that_dies_leaves_its_steps_and_the_reason_on_disk(error, tmp_path):
     def die():
-        raise KeyboardInterrupt
+        raise error
 
-    with pytest.raises(KeyboardInterrupt):
-        deploy(env, Always({4: die}), PATIENT, steps=10, log=RunLog(tmp_path / "run", {}))
+    with pytest.raises((KeyboardInterrupt, ZeroDivisionError)):
+        deploy(cell()[0], Always({4: die}), PATIENT, steps=10, log=RunLog(tmp_path / "run", {}))
     assert len((tmp_path / "run" / "steps.jsonl").read_text().splitlines()) == 4
+    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    ended = "KeyboardInterrupt: " if error is KeyboardInterrupt else "ZeroDivisionError: a mistake"
+    assert (report["ended"], report["failed"], report["steps"]) == (ended, True, 4)
 
 
-class StallingLog(RunLog):
-    """A log on a disk that stalls."""
+class BlockedLog(RunLog):
+    """A log on a disk that answers when the gate is opened."""
 
-    def __init__(self, *args: Any, seconds: float) -> None:
-        self.seconds, self.done = seconds, []
+    def __init__(self, *args: Any) -> None:
+        self.gate = threading.Event()
         super().__init__(*args)
 
-    def _write(self, name, content):
-        time.sleep(self.seconds)
-        super()._write(name, content)
-        self.done.append((name, time.monotonic()))
-
     def _write_step(self, record):
-        time.sleep(self.seconds)
+        assert self.gate.wait(30)
         super()._write_step(record)
 
 
 def test_a_disk_that_stalls_delays_neither_the_steps_nor_the_stop(tmp_path):
+    """All steps are done and the robot is stopped, parked and disconnected before the disk answers."""
     env, robot, _ = cell()
-    stops: list[float] = []
-    stop = robot.stop
-    robot.stop = lambda: (stop(), stops.append(time.monotonic()))  # type: ignore[method-assign]
-    log = StallingLog(tmp_path / "run", {}, seconds=0.5)
-    moments = []
-    report = deploy(env, Always(), steps=5, log=log, on_step=lambda moment: moments.append(time.monotonic()))
-    assert np.diff(moments).max() < 0.4
-    written = dict(log.done)["report.json"]
-    assert stops[0] - moments[-1] < 0.4
-    assert written - stops[0] > 1.0  # five steps and the report
+    log, before = BlockedLog(tmp_path / "run", {}), []
+    close = env.unwrapped.close
+
+    def answer():
+        close()
+        before.append((robot.calls[-1], list(tmp_path.glob("run/report.json"))))
+        log.gate.set()
+
+    env.unwrapped.close = answer
+    report = deploy(env, Always(), steps=5, log=log)
+    assert before == [("disconnect", [])]
     assert json.loads((tmp_path / "run" / "report.json").read_text())["steps"] == report.steps == 5
     assert len((tmp_path / "run" / "steps.jsonl").read_text().splitlines()) == 5
 
 
-def test_a_log_that_cannot_be_written_ends_the_run_and_stops_the_robot(tmp_path):
+def test_a_disk_that_is_full_or_hopelessly_behind_ends_the_run_and_stops_the_robot(tmp_path, monkeypatch):
     class FullDisk(RunLog):
         def _write_step(self, record):
             raise OSError("no space left on device")
 
     env, robot, _ = cell()
     with pytest.raises(OSError, match="no space left"):
-        deploy(env, Always(), steps=1000, log=FullDisk(tmp_path / "run", {}))
+        deploy(env, Always(), steps=1000, log=FullDisk(tmp_path / "full", {}))
     assert robot.calls[-1] == "disconnect"
-    assert "no space left" in json.loads((tmp_path / "run" / "report.json").read_text())["ended"]
+    assert "no space left" in json.loads((tmp_path / "full" / "report.json").read_text())["ended"]
 
-
-def test_a_disk_that_is_hopelessly_behind_ends_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr("shape_obs.deploy.run_log._WAITING", 3)
     env, *_ = cell()
+    log = BlockedLog(tmp_path / "slow", {})
+    close = env.unwrapped.close
+    env.unwrapped.close = lambda: (close(), log.gate.set())
     with pytest.raises(OSError, match="the disk is 3 steps behind"):
-        deploy(env, Always(), steps=100, log=StallingLog(tmp_path / "run", {}, seconds=0.2))
-
-
-def test_an_exception_is_in_the_report_of_the_log(tmp_path):
-    env, *_ = cell()
-
-    def fail():
-        raise ZeroDivisionError("a mistake")
-
-    with pytest.raises(ZeroDivisionError):
-        deploy(env, Always({2: fail}), PATIENT, steps=10, log=RunLog(tmp_path / "run", {}))
-    report = json.loads((tmp_path / "run" / "report.json").read_text())
-    assert (report["ended"], report["failed"], report["steps"]) == ("ZeroDivisionError: a mistake", True, 2)
+        deploy(env, Always(), steps=100, log=log)
 
 
 def test_what_is_counted_takes_no_more_memory_after_more_steps():

@@ -114,6 +114,7 @@ def test_a_gif_has_the_speed_of_the_frames(tmp_path):
         assert picture[50:150, 300:400, 1:].max() < 12
 
 
+@pytest.mark.nightly
 def test_a_long_gif_has_fewer_pictures_per_second(tmp_path):
     draw = np.random.default_rng(0)
     write(tmp_path / "v.gif", draw.integers(0, 255, (950, 24, 32, 3), np.uint8), fps=10)

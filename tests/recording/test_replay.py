@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from noise_frames import equal
 from recorded_cable import FRAMES, detector
-from scripted_source import equal
 
 import shape_obs
 from shape_obs import ShapeDetector

@@ -6,8 +6,8 @@ import json
 
 import numpy as np
 import pytest
+from noise_frames import equal
 from recorded_cable import CONFIG, FRAMES, detector
-from scripted_source import equal
 
 import shape_obs
 from shape_obs import schema_hash

@@ -113,7 +113,7 @@ def detected(capsys, photo, config, out):
     return np.array(json.loads(capsys.readouterr().out)["shapes"][0]["points2d"])
 
 
-@pytest.mark.parametrize("which", ["drawn", "real"])
+@pytest.mark.parametrize("which", ["drawn", pytest.param("real", marks=pytest.mark.nightly)])
 def test_from_a_click_to_a_file_that_gives_the_same_points(browser, which, drawn, tmp_path, capsys):
     photo, pixel = (drawn, (205, 330)) if which == "drawn" else (REAL, (60, 196))
     if not photo.exists():
@@ -152,6 +152,7 @@ def test_from_a_click_to_a_file_that_gives_the_same_points(browser, which, drawn
     np.testing.assert_allclose(detected(capsys, photo, tmp_path / "shape.yaml", tmp_path), shown, atol=0.06)
 
 
+@pytest.mark.nightly
 def test_a_phone_shows_everything_within_its_width(browser, drawn, tmp_path):
     with serving(drawn, "--save", tmp_path / "shape.yaml") as served:
         page = opened(browser, served.url, PHONE)
@@ -164,6 +165,7 @@ def test_a_phone_shows_everything_within_its_width(browser, drawn, tmp_path):
         page.screenshot(path=tmp_path / "phone.png")
 
 
+@pytest.mark.nightly
 def test_depth_gives_a_view_in_space(browser, drawn, tmp_path):
     cv2.imwrite(str(tmp_path / "depth.png"), np.full((480, 640), 600, np.uint16))
     with serving(drawn, "--depth", tmp_path / "depth.png", "--intrinsics", 600, 600, 319.5, 239.5) as served:
@@ -177,6 +179,7 @@ def test_depth_gives_a_view_in_space(browser, drawn, tmp_path):
         sync_api.expect(row).to_contain_text("0.600", timeout=PATIENCE)
 
 
+@pytest.mark.nightly
 def test_two_pages_show_the_same(browser, drawn, tmp_path):
     with serving(drawn, "--save", tmp_path / "shape.yaml") as served:
         first, second = opened(browser, served.url), opened(browser, served.url)
@@ -189,6 +192,7 @@ def test_two_pages_show_the_same(browser, drawn, tmp_path):
         )
 
 
+@pytest.mark.nightly
 def test_an_area_is_dragged(browser, drawn, tmp_path):
     with serving(drawn, "--save", tmp_path / "shape.yaml") as served:
         page = opened(browser, served.url)
@@ -212,6 +216,7 @@ def test_an_area_is_dragged(browser, drawn, tmp_path):
     np.testing.assert_allclose([roi[name] for name in ("left", "top", "width", "height")], [32, 48, 576, 384], atol=3)
 
 
+@pytest.mark.nightly
 def test_a_recording_ends_and_is_scrubbed(browser, photos, tmp_path):
     with serving(photos, "--config", tmp_path / "blue.yaml") as served:
         page = opened(browser, served.url)
@@ -227,6 +232,7 @@ def test_a_recording_ends_and_is_scrubbed(browser, photos, tmp_path):
         expect_text(page, ".q-badge", "ended")
 
 
+@pytest.mark.nightly
 def test_read_only_shows_and_saves_nothing(browser, photos, tmp_path):
     before = (tmp_path / "blue.yaml").read_text()
     with serving(photos, "--config", tmp_path / "blue.yaml", "--read-only") as served:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
@@ -17,7 +16,7 @@ from shape_obs.robot import Anchors, Robot, RobotError, check_robot, robot_ancho
 from shape_obs.servo.action_limiter import Box, Guard, Guarded
 from shape_obs.source import NotConnected, RGBDSource, SourceError
 from shape_obs.utils.documents import make_named
-from shape_obs.utils.timing import Rate
+from shape_obs.utils.timing import CLOCK, Clock, Rate
 from shape_obs_envs.arguments import count, one_of, positive
 from shape_obs_envs.real.frame_reader import FrameReader, delivers_depth, open_frame_source
 from shape_obs_envs.real.interlock import Interlock
@@ -70,6 +69,7 @@ class D455Env(gym.Env[Any, Any]):
             of 1.
         workspace: [low, high], each ``(A,)``: a smaller box than the robot's own.
         render_mode: None or "rgb_array", the last image.
+        clock: Time, and the ways to wait for it; replaced in tests.
 
     Raises:
         ValueError: An argument is out of its range, or the source cannot be opened with the arguments, or has no depth.
@@ -80,6 +80,7 @@ class D455Env(gym.Env[Any, Any]):
     Attributes:
         robot: The robot, or None.
         settle: The argument.
+        clock: The argument.
         max_age: The argument; may be changed between steps.
         interlock: Sends motions to the robot and stops it, from any thread; None without a robot.
         source: The source.
@@ -94,6 +95,7 @@ class D455Env(gym.Env[Any, Any]):
 
     robot: Robot | None
     settle: float | None
+    clock: Clock
     max_age: float
     interlock: Interlock | None
     source: RGBDSource
@@ -122,9 +124,10 @@ class D455Env(gym.Env[Any, Any]):
         max_step: Sequence[float] | None = None,
         workspace: Box | None = None,
         render_mode: str | None = None,
+        clock: Clock = CLOCK,
     ) -> None:
         self.render_mode = one_of("render_mode", render_mode, (None, "rgb_array"))
-        self.rate = Rate(rate)
+        self.clock, self.rate = clock, Rate(rate, clock)
         self.metadata = {**type(self).metadata, "render_fps": rate}
         if settle is not None and not 0 <= settle < 10:
             raise ValueError(f"settle: expected seconds from 0 to below 10, or None, got {settle!r}.")
@@ -133,7 +136,7 @@ class D455Env(gym.Env[Any, Any]):
         self.robot = make_named(robot, "robot", robot_arguments) if isinstance(robot, str) else robot
         self.source = open_frame_source(source, self.robot, (width, height), extrinsics)
         patience, has_depth = positive("timeout", timeout, "1.0", "seconds"), delivers_depth(self.source, depth)
-        self._reader = FrameReader(self.source, (width, height), patience, has_depth)
+        self._reader = FrameReader(self.source, (width, height), patience, has_depth, now=clock.now)
         observed: dict[str, gym.spaces.Space[Any]] = {"rgb": gym.spaces.Box(0, 255, (height, width, 3), np.uint8)}
         if has_depth:
             observed["depth"] = gym.spaces.Box(0, 65535, (height, width), np.uint16)
@@ -143,7 +146,7 @@ class D455Env(gym.Env[Any, Any]):
         self.interlock = None
         if self.robot is not None:
             check_robot(self.robot)
-            self.interlock, spec = Interlock(self.robot), self.robot.action_spec
+            self.interlock, spec = Interlock(self.robot, clock), self.robot.action_spec
             self.guard = Guard(spec, max_step, workspace, self.rate.dt)
             margin = _MARGIN * (np.asarray(spec.high) - spec.low)
             low, high = np.asarray(spec.low) - margin, np.asarray(spec.high) + margin
@@ -151,7 +154,7 @@ class D455Env(gym.Env[Any, Any]):
             observed["robot"] = self._reach
             self.action_space = gym.spaces.Box(-1.0, 1.0, (len(spec),), np.float32)
         self.observation_space = gym.spaces.Dict(observed)
-        self.sent_at = self.seen_at = time.monotonic()
+        self.sent_at = self.seen_at = clock.now()
         self.slack, self.withheld = 0.0, ""
         self.on_sent = lambda: None
         self.guarded = self.frame = None
@@ -178,7 +181,7 @@ class D455Env(gym.Env[Any, Any]):
             self._reader.connect()  # before anything moves
             if self.robot is not None:
                 self.robot.reset()
-            self._accept(self._reader.frame_after(time.monotonic()))
+            self._accept(self._reader.frame_after(self.clock.now()))
         except (SourceError, RobotError, ValueError):
             self._abandon()
             raise
@@ -195,7 +198,7 @@ class D455Env(gym.Env[Any, Any]):
         errors: dict[str, str] = {}
         try:
             self._send(action)
-            self.sent_at = time.monotonic()
+            self.sent_at = self.clock.now()
             self.on_sent()
             self._accept(self._wait_for_frame())
         except NotConnected:
@@ -270,7 +273,7 @@ class D455Env(gym.Env[Any, Any]):
         return self._reader.frame_of(self.sent_at + self.rate.dt + self.settle)
 
     def _accept(self, frame: Frame) -> None:
-        self.frame, self.seen_at = frame, time.monotonic()
+        self.frame, self.seen_at = frame, self.clock.now()
         self._exposed = self._reader.exposed(frame, self.seen_at)
 
     def _observe(self) -> Observation:

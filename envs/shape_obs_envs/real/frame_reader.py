@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
@@ -77,12 +78,22 @@ class FrameReader:
         size: Required size (width, height) in pixels.
         timeout: Longest wait for a frame in seconds.
         depth: Whether frames must have depth; otherwise depth is left out.
+        now: The clock, in seconds.
     """
 
-    def __init__(self, source: RGBDSource, size: tuple[int, int], timeout: float, depth: bool = True) -> None:
+    def __init__(
+        self,
+        source: RGBDSource,
+        size: tuple[int, int],
+        timeout: float,
+        depth: bool = True,
+        *,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
         self.source, self._size, self._timeout, self._depth = source, size, timeout, depth
+        self._now = now
         self._transport: deque[float] = deque(maxlen=_WINDOW)
-        self._clock = (0.0, time.monotonic())  # stamp of the newest frame, and when it was read
+        self._clock = (0.0, now())  # stamp of the newest frame, and when it was read
 
     def exposed(self, frame: Frame, now: float) -> float:
         """Return the earliest time at which the exposure of a frame may have begun, ``time.monotonic()`` in seconds.
@@ -145,13 +156,13 @@ class FrameReader:
             SourceError: No frame came in time, or the camera is lost.
             ValueError: The frame has no colour, lacks depth, or has another size.
         """
-        until = time.monotonic() + self._timeout
+        until = self._now() + self._timeout
         try:
-            return self._checked(self.source.read_latest(max_age=max(0.0, time.monotonic() - moment)))
+            return self._checked(self.source.read_latest(max_age=max(0.0, self._now() - moment)))
         except StaleFrame:
             pass
         while True:
-            frame = self.source.read(timeout=max(0.001, until - time.monotonic()))
+            frame = self.source.read(timeout=max(0.001, until - self._now()))
             if frame.received is None or frame.received >= moment or not self.source.live:
                 return self._checked(frame)
 
@@ -165,9 +176,9 @@ class FrameReader:
             SourceError: No frame came in time, or the camera is lost.
             ValueError: The frame has no colour, lacks depth, or has another size.
         """
-        until = time.monotonic() + self._timeout
+        until = self._now() + self._timeout
         frame = self.frame_after(moment)
-        while frame.received is not None and self.source.live and time.monotonic() < until:
+        while frame.received is not None and self.source.live and self._now() < until:
             if frame.received - self.lag(frame) >= moment:
                 break
             frame = self.frame_after(frame.received + _NEXT)
@@ -185,7 +196,7 @@ class FrameReader:
 
     def info(self, frame: Frame | None, exposed: float) -> dict[str, Any]:
         """Return the entries of ``info`` that describe a frame; the stamp advances with the time if it has none."""
-        now = time.monotonic()
+        now = self._now()
         stamp, taken = self._clock
         stamp = stamp + now - taken if frame is None or frame.stamp is None else frame.stamp
         self._clock = stamp, now

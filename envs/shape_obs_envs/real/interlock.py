@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import logging
 import math
-import threading
-import time
 from typing import Final
 
 from shape_obs.robot import Array, Robot
+from shape_obs.utils.timing import CLOCK, Clock
 
 _LOG: Final = logging.getLogger(__name__)
 
@@ -23,6 +22,7 @@ class Interlock:
 
     Args:
         robot: The robot.
+        clock: Time, and the thread that watches it.
 
     Attributes:
         tripped: Why no motion is sent; empty while motions are allowed.
@@ -32,12 +32,10 @@ class Interlock:
     tripped: str
     expired: int
 
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
+    def __init__(self, robot: Robot, clock: Clock = CLOCK) -> None:
+        self._robot, self._clock = robot, clock
         self.tripped, self.expired = "", 0
-        self._until, self._closed = math.inf, False  # infinity: no motion is active
-        self._changed = threading.Condition()
-        self._thread: threading.Thread | None = None
+        self._end = clock.alarm(self._expire, "motion end")
         self._failure: Exception | None = None
 
     def arm(self) -> None:
@@ -60,7 +58,7 @@ class Interlock:
         self._raise_failure()
         refusal = self._refusal(until)
         if not refusal:
-            self._expect_end(until)
+            self._end.set(until)
             self._robot.send(motion, until)
             refusal = self._refusal(until)  # `send` may have been blocked, and may have moved the robot after all
         if refusal:
@@ -73,7 +71,7 @@ class Interlock:
         Raises:
             RobotError: The robot cannot be stopped.
         """
-        self._expect_end(math.inf)
+        self._end.set(math.inf)  # no motion is active
         self._robot.stop()
         self._raise_failure()
 
@@ -84,36 +82,15 @@ class Interlock:
 
     def close(self) -> None:
         """End the thread. The next motion starts another one."""
-        with self._changed:
-            thread, self._thread, self._closed = self._thread, None, True
-            self._changed.notify()
-        if thread is not None and thread is not threading.current_thread():
-            thread.join()
+        self._end.close()
 
     def _refusal(self, until: float) -> str:
-        return self.tripped or ("image old" if time.monotonic() >= until else "")
+        return self.tripped or ("image old" if self._clock.now() >= until else "")
 
-    def _expect_end(self, until: float) -> None:
-        """Set the end of the motion. A later end needs no wake-up: the thread rechecks at the earlier one."""
-        with self._changed:
-            sooner, self._until = until < self._until, until
-            if self._thread is None and until < math.inf:
-                self._closed = False
-                self._thread = threading.Thread(target=self._watch, name="motion end", daemon=True)
-                self._thread.start()
-            elif sooner:
-                self._changed.notify()
-
-    def _watch(self) -> None:
-        while True:
-            with self._changed:
-                while not self._closed and (left := self._until - time.monotonic()) > 0:
-                    self._changed.wait(min(left, threading.TIMEOUT_MAX))
-                if self._closed:
-                    return
-                self._until = math.inf
-            self.expired += 1
-            self._stop_robot()
+    def _expire(self) -> None:
+        """End a motion that was not replaced in time."""
+        self.expired += 1
+        self._stop_robot()
 
     def _stop_robot(self) -> None:
         """Stop the robot from a thread without a caller, and keep its error."""

@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium as gym
 import pytest
 from bundles import POINTS, WORKSPACE, cable, learner, train
-from cell_parts import RopeSource
+from fake_cell import rope_camera
 
 pytest.importorskip("mujoco")
 pytest.importorskip("stable_baselines3")
@@ -87,7 +87,7 @@ class TestMismatch:
         spec = {**bundle.action_spec.to_dict(), **changes}
         return gym.make(
             "shape_obs_envs:ShapeObs/D455-v0",
-            source=RopeSource(),
+            source=rope_camera(),
             robot=NullRobot(spec=spec),
             rate=rate,
             size=[160, 120],

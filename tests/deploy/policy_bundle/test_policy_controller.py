@@ -8,13 +8,10 @@ from importlib.util import find_spec
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 import pytest
-from cell_parts import HEIGHT, ROPE, WIDTH, ListRobot, RopeSource
 
 from shape_obs import ShapeObservation, save_bundle
 from shape_obs.cli import main
-from shape_obs.deploy import Still, deploy
 from shape_obs.deploy.policy_bundle import deploy_command
 from shape_obs.robot import ActionSpec
 
@@ -120,53 +117,6 @@ def test_another_rate_is_a_warning_and_a_robot_without_goals_is_reported(capsys,
     assert code == 1
     assert "--rate 10: the policy was trained at 20 steps per second" in err
     assert "in the base frame, but this camera has no extrinsics" in err or "NullRobot provides no goals" in err
-
-
-class TestSettle:
-    """The next image is taken after the motion has ended."""
-
-    def cell(self, source=None, **options) -> Any:
-        robot = ListRobot()
-        env = gym.make(
-            "shape_obs_envs:ShapeObs/D455-v0",
-            source=source or RopeSource(robot),
-            robot=robot,
-            rate=50.0,
-            size=[WIDTH, HEIGHT],
-            disable_env_checker=True,
-            **options,
-        )
-        return ShapeObservation(env, **ROPE)
-
-    @pytest.mark.parametrize("delay", [0.0, 0.08])
-    def test_frames_show_what_was_there_after_it(self, delay):
-        source = RopeSource()
-        env = self.cell(source, settle=0.03)
-        env.reset()
-        cell = env.unwrapped
-        source.delay = delay  # from now on all images are older than they were at the reset
-        for _ in range(4):
-            _, _, _, _, info = env.step(np.array([0.5, 0.0]))
-            assert info["received"] - info["lag"] >= cell.sent_at + 0.02 + 0.03
-            assert not info["overrun"]
-
-    def test_images_that_stay_late_are_taken_when_the_time_is_over(self):
-        source = RopeSource()
-        env = self.cell(source, settle=0.0, timeout=0.3)
-        env.reset()
-        source.delay = 5.0
-        _, _, _, truncated, info = env.step(np.zeros(2))
-        assert not truncated
-        assert info["lag"] == pytest.approx(5.0, abs=0.05)
-
-    def test_it_is_for_the_loop_too(self):
-        report = deploy(self.cell(settle=0.02), Still(), steps=3)
-        assert (report.acted, report.overruns) == (3, 0)
-        assert report.seconds > 3 * (0.02 + 0.02)
-
-    def test_no_time_at_all(self):
-        with pytest.raises(ValueError, match="settle: expected seconds from 0 to below 10, or None, got -1"):
-            self.cell(settle=-1)
 
 
 def test_a_bundle_that_runs_code_needs_trust(capsys, path, tmp_path):

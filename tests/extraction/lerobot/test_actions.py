@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
 import pytest
@@ -11,7 +9,7 @@ import pytest
 pytest.importorskip("pyarrow")
 
 from lerobot_files import array, read, rows, run
-from scripted_source import Script
+from noise_frames import camera_of
 
 from shape_obs import CameraModel, Frame, Intrinsics, save_config
 from shape_obs.recording import Moment, RecordingWriter, RobotInfo, Transition
@@ -27,9 +25,7 @@ def write_run(folder, spec, transitions):
     rgb, depth = np.full((72, 96, 3), 200, np.uint8), np.full((72, 96), 700, np.uint16)
     cv2.line(rgb, (15, 30), (80, 40), (20, 60, 200), 5)
     frames = [Frame(rgb, depth, CameraModel(intrinsics), i / 10, number=i) for i in range(len(transitions))]
-    source: Any = Script(frames)
-    source.camera = CameraModel(intrinsics)
-    with RecordingWriter(folder, source, robot=RobotInfo("arm", spec.names, spec.names, spec)) as writer:
+    with RecordingWriter(folder, camera_of(frames), robot=RobotInfo("arm", spec.names, spec.names, spec)) as writer:
         for frame, transition in zip(frames, transitions, strict=True):
             writer.add(Moment(frame, {}, 0, transition, (0.1, 0.2)))
 

@@ -2,49 +2,37 @@
 
 from __future__ import annotations
 
-import time
-from typing import Any
-
-import gymnasium as gym
 import numpy as np
 import pytest
-from cell_parts import HEIGHT, INTRINSICS, ROPE, WIDTH, ListRobot, RopeSource
+from fake_camera import INTRINSICS
+from fake_cell import PATIENT, ROPE, FakeRobot, cell, make_env, rope_camera
+from fake_clock import FakeClock
 from gymnasium.utils.env_checker import check_env
 from hypothesis import given
 from hypothesis import strategies as st
-from stable_baselines3.common.env_checker import check_env as check_sb3
 
 from shape_obs import ShapeObservation
+from shape_obs.deploy import Still, deploy
 from shape_obs.robot import ActionSpec, Robot
 from shape_obs.servo.action_limiter import Guard
-from shape_obs.source import FrameTimeout, NotConnected, RGBDSource
+from shape_obs.source import CameraNotFound, NotConnected, RGBDSource
 from shape_obs.utils.timing import Rate
 
 
-def make(source=None, robot=None, **options) -> Any:
-    given = {"rate": 50.0, "size": [WIDTH, HEIGHT], "timeout": 0.2, "disable_env_checker": True, **options}
-    return gym.make("shape_obs_envs:ShapeObs/D455-v0", source=source or RopeSource(robot), robot=robot, **given)
-
-
-def test_the_parts_of_these_tests_keep_the_protocols():
-    with RopeSource() as source:
-        assert isinstance(source, RGBDSource)
-    assert isinstance(ListRobot(), Robot)
-
-
-@pytest.mark.parametrize("robot", [None, ListRobot(3)])
+@pytest.mark.parametrize("robot", [None, FakeRobot(3)])
 def test_both_checkers_pass_bare_and_wrapped(robot):
-    env = make(robot=robot)
+    from stable_baselines3.common.env_checker import check_env as check_sb3
+
+    env = make_env(robot=robot)
     check_env(env.unwrapped, skip_render_check=True)
     check_sb3(env.unwrapped)
-    wrapped = ShapeObservation(env, **ROPE)
-    check_sb3(wrapped)
-    env.close()
+    check_sb3(ShapeObservation(env, **ROPE))
+    assert isinstance(env.unwrapped.source, RGBDSource)
+    assert robot is None or isinstance(robot, Robot)
 
 
 def test_a_step_shows_what_was_done_and_never_an_older_image():
-    robot = ListRobot()
-    env = make(robot=robot)
+    env = make_env(robot=FakeRobot())
     env.reset()
     number, observation = -1, {}
     for _ in range(5):
@@ -56,104 +44,126 @@ def test_a_step_shows_what_was_done_and_never_an_older_image():
     assert observation["robot"] == pytest.approx([0.05, 0.0])
     blue = np.flatnonzero((observation["rgb"][..., 0] < 100).any(axis=0))
     assert blue.min() == pytest.approx(40 - 3 + 100 * 0.05 / 0.7, abs=2)
-    env.close()
 
 
-def test_steps_keep_the_rate_for_any_duration_of_the_policy():
-    env = make(robot=ListRobot(), rate=25.0)
+def test_steps_keep_the_rate_for_any_duration_of_the_policy_and_report_overruns():
+    env = make_env(robot=FakeRobot(), rate=25.0)
     env.reset()
-    begin = time.monotonic()
+    clock = env.unwrapped.clock
+    begin = clock.now()
     for i in range(10):
-        time.sleep(0.02 if i % 2 else 0.0)
-        env.step(None)
-    assert time.monotonic() - begin == pytest.approx(0.4, abs=0.08)
-    time.sleep(0.1)
+        clock.sleep(0.02 if i % 2 else 0.0)
+        *_, info = env.step(None)
+        assert not info["overrun"]
+    assert clock.now() - begin == pytest.approx(0.4)
+    clock.sleep(0.1)
     *_, info = env.step(None)
     assert info["overrun"]
-    assert env.unwrapped.rate.overruns >= 1
-    env.close()
+    assert env.unwrapped.rate.overruns == 1
+
+
+def test_a_late_loop_does_not_hurry_to_catch_up():
+    clock = FakeClock()
+    rate = Rate(100, clock)
+    clock.sleep(0.055)
+    assert rate.wait() == pytest.approx(-0.045)
+    begin = clock.now()
+    assert rate.wait() == rate.wait() == pytest.approx(0.01)
+    assert clock.now() - begin == pytest.approx(0.02)
+    assert rate.overruns == 1
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.08])
+def test_with_settle_a_frame_shows_what_was_there_after_the_motion(delay):
+    env, _, camera = cell(settle=0.03)
+    env.reset()
+    camera.delay = delay  # from now on all images are older than they were at the reset
+    for _ in range(4):
+        *_, info = env.step(np.array([0.5, 0.0]))
+        assert info["received"] - info["lag"] >= env.unwrapped.sent_at + 0.02 + 0.03
+        assert not info["overrun"]
+    report = deploy(cell(settle=0.02)[0], Still(), PATIENT, steps=3)
+    assert (report.acted, report.overruns) == (3, 0)
+    assert report.seconds > 3 * (0.02 + 0.02)
+    camera.delay = 5.0  # images that stay late are taken when the time is over
+    *_, truncated, info = env.step(np.zeros(2))
+    assert not truncated
+    assert info["lag"] == pytest.approx(5.0)
+    with pytest.raises(ValueError, match="settle: expected seconds from 0 to below 10, or None, got -1"):
+        cell(settle=-1)
 
 
 def test_none_stands_still():
-    robot = ListRobot()
-    env = make(robot=robot)
+    robot = FakeRobot()
+    env = make_env(robot=robot)
     env.reset()
     env.step(None)
     assert robot.calls[-1] == "stop"
     assert "send" not in robot.calls
-    env.close()
 
 
-def test_a_failing_camera_ends_the_episode_in_black_and_the_next_reset_reconnects():
-    robot = ListRobot()
-    source = RopeSource(robot)
-    env = ShapeObservation(make(source, robot), **ROPE)
+@pytest.mark.parametrize(("fault", "error"), [("stall", "no frame in"), ("unplug", "it was unplugged")])
+def test_a_failing_camera_ends_the_episode_in_black_and_the_next_reset_reconnects(fault, error):
+    env, robot, camera = cell()
     env.reset()
-    source.gone = True
+    getattr(camera, fault)()
     _, _, terminated, truncated, info = env.step(np.zeros(2))
     assert (terminated, truncated) == (False, True)
-    assert info["camera_error"].startswith("no frame in")
+    assert error in info["camera_error"]
     assert robot.calls[-1] == "stop"
     assert info["shape/age"] > 0
     with pytest.raises(NotConnected):
         env.step(np.zeros(2))
-    with pytest.raises(FrameTimeout):
-        env.reset()
-    source.gone = False
+    if fault == "unplug":
+        with pytest.raises(CameraNotFound):
+            env.reset()
+    camera.plug()
     _, info = env.reset()
     assert info["shape/ok"]
     assert info["shape/age"] == 0
-    assert source.connects == 2
-    env.close()
-
-
-def test_the_images_of_a_failed_camera_are_black():
-    robot = ListRobot()
-    source = RopeSource(robot)
-    env = make(source, robot)
-    env.reset()
-    source.gone = True
-    observation, *_ = env.step(np.zeros(2))
+    bare = env.unwrapped
+    camera.stall()
+    observation, *_ = bare.step(np.zeros(2))
     assert not observation["rgb"].any()
     assert not observation["depth"].any()
-    assert env.observation_space.contains(observation)
+    assert bare.observation_space.contains(observation)
 
 
 def test_a_failing_robot_ends_the_episode():
-    robot = ListRobot()
-    env = make(robot=robot)
+    robot = FakeRobot()
+    env = make_env(robot=robot)
     env.reset()
-    robot.fails = True
+    robot.broken.add("send")
     *_, truncated, info = env.step(np.zeros(2))
     assert truncated
     assert info["robot_error"] == "the robot is in an emergency stop"
 
 
 def test_images_of_another_size_raise_an_error():
-    env = make(RopeSource(), size=[640, 480])
     with pytest.raises(ValueError, match=r"160 x 120 pixels, the env expects 640 x 480: make it with size="):
-        env.reset()
+        make_env(size=[640, 480]).reset()
 
 
 def test_the_camera_model_is_nominal_before_and_the_cameras_own_after_the_reset():
-    env = make()
+    env = make_env()
     assert env.get_wrapper_attr("camera_model").intrinsics.fx == pytest.approx(386 / 4)
     assert env.get_wrapper_attr("camera_model").transform_camera_to_base[2, 3] == 0.7
     env.reset()
     assert env.get_wrapper_attr("camera_model").intrinsics == INTRINSICS
-    env.close()
 
 
 def test_robots_and_sources_by_name():
-    env = make(RopeSource(), robot="cell_parts:ListRobot", robot_arguments={"size": 3})
+    env = make_env(rope_camera(), "fake_cell:FakeRobot", robot_arguments={"size": 3})
     assert env.action_space.shape == (3,)
     with pytest.raises(ImportError, match="robot: cannot import 'no_lab'"):
-        make(RopeSource(), robot="no_lab:Arm")
-    with pytest.raises(ValueError, match="did you mean 'ListRobot'"):
-        make(RopeSource(), robot="cell_parts:ListRobt")
+        make_env(rope_camera(), "no_lab:Arm")
+    with pytest.raises(ValueError, match="did you mean 'FakeRobot'"):
+        make_env(rope_camera(), "fake_cell:FakeRobt")
     with pytest.raises(ValueError, match="has no camera"):
-        make("robot", robot=ListRobot())
+        make_env("robot", FakeRobot())
 
+
+# ---- limits on actions
 
 SPEC = ActionSpec(("x", "yaw"), ("m", "rad"), (0.02, 0.1), (-0.3, -1.0), (0.3, 1.0))
 numbers = st.floats(-5, 5)
@@ -178,10 +188,10 @@ def test_the_guard_reports_what_it_did():
     assert guard.motion([1.0, 0.0], [0.295, 0]).boxed
 
 
-@pytest.mark.parametrize(("mode", "sent"), [("displacement", 0.01), ("velocity", 0.01), ("position", 0.01)])
-def test_the_guard_speaks_each_mode(mode, sent):
+@pytest.mark.parametrize("mode", ["displacement", "velocity", "position"])
+def test_the_guard_speaks_each_mode(mode):
     spec = ActionSpec(("x",), ("m",), (0.01,), (-1,), (1,), mode)
-    assert Guard(spec, max_step=[0.5], dt=0.1).motion([1.0], [0.0]).motion == pytest.approx([sent])
+    assert Guard(spec, max_step=[0.5], dt=0.1).motion([1.0], [0.0]).motion == pytest.approx([0.01])
     if mode != "position":
         assert Guard(spec, dt=0.1).max_step == pytest.approx([0.001 if mode == "velocity" else 0.01])
     capped = Guard(spec, max_step=[0.0005], dt=0.1).motion([1.0], [0.0])
@@ -196,7 +206,7 @@ def test_the_guard_speaks_each_mode(mode, sent):
         ({"max_step": [0.0, 1.0]}, "max_step: expected positive"),
         (
             {"workspace": [[0.4, -1], [0.5, 1]]},
-            "nothing is left of 'x', which the robot can move within -0.3 ... 0.3 m",
+            "nothing is left of 'x', which the robot can move within -0.3",
         ),
     ],
 )
@@ -205,17 +215,6 @@ def test_bad_guards_raise_an_error(options, message):
         Guard(SPEC, **options)
     with pytest.raises(ValueError, match="action: expected 2 finite numbers"):
         Guard(SPEC).motion([np.nan, 0], [0, 0])
-
-
-def test_a_late_loop_does_not_hurry_to_catch_up():
-    rate = Rate(100)
-    time.sleep(0.055)
-    assert rate.wait() == pytest.approx(-0.045, abs=0.01)
-    begin = time.monotonic()
-    rate.wait()
-    rate.wait()
-    assert 0.01 <= time.monotonic() - begin < 0.03
-    assert rate.overruns == 1
 
 
 @pytest.mark.parametrize(

@@ -2,86 +2,80 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
+from fake_camera import FakeCamera
+from fake_clock import FakeClock
 
-from shape_obs import Frame
-from shape_obs.source import FrameTimeout, StaleFrame
+from shape_obs import CameraModel, Frame, Intrinsics
+from shape_obs.source import FrameTimeout
 from shape_obs_envs.real.frame_reader import FrameReader
 
 SIZE = (8, 6)
+LENS = Intrinsics(*SIZE, 9.0, 9.0, 3.5, 2.5)
 
 
-def frame(received: float | None, number: int) -> Frame:
-    images = np.zeros((SIZE[1], SIZE[0], 3), np.uint8), np.full((SIZE[1], SIZE[0]), 500, np.uint16)
-    return Frame(*images, received=received, number=number)
+@pytest.fixture
+def clock():
+    return FakeClock()
 
 
-class Camera:
-    """A live camera with a newest frame and a queue of others, as a driver holds them."""
-
-    kind, name, live, has_depth, camera, intrinsics = "camera", "camera", True, True, None, None
-
-    def __init__(self, newest: Frame | None, queue: list[Frame]) -> None:
-        self.newest, self.queue = newest, queue
-
-    def read_latest(self, max_age: float = 0.1) -> Frame:
-        if self.newest is None or time.monotonic() - (self.newest.received or 0.0) > max_age:
-            raise StaleFrame("the newest frame is older")
-        return self.newest
-
-    def read(self, timeout: float = 1.0, fresh: bool = False) -> Frame:
-        if not self.queue:
-            raise FrameTimeout(f"no frame within {timeout} s")
-        return self.queue.pop(0)
-
-    def connect(self) -> None:
-        pass
-
-    def disconnect(self) -> None:
-        pass
+@pytest.fixture
+def camera(clock):
+    """Return a camera with a frame every 0.1 s that was connected 1 s ago; ten frames wait to be read."""
+    camera = FakeCamera(lambda _: np.zeros((6, 8, 3)), hertz=10.0, clock=clock, intrinsics=LENS)
+    camera.connect()
+    clock.sleep(1.0)
+    return camera
 
 
-def reader(newest: Frame | None, queue: list[Frame], live: bool = True) -> FrameReader:
-    camera = Camera(newest, queue)
-    camera.live = live
-    return FrameReader(camera, SIZE, timeout=1.0)  # type: ignore[arg-type]
+@pytest.fixture
+def reader(camera, clock):
+    return FrameReader(camera, SIZE, timeout=1.0, now=clock.now)
 
 
-def test_the_newest_frame_is_taken_at_once_if_it_arrived_after_the_moment():
-    now = time.monotonic()
-    assert reader(frame(now, 7), []).frame_after(now - 10.0).number == 7
+def test_the_newest_frame_is_taken_at_once_if_it_arrived_after_the_moment(reader, clock):
+    clock.sleep(0.05)
+    assert reader.frame_after(clock.now() - 0.06).number == 10
+    assert clock.now() == pytest.approx(1001.05)
 
 
-def test_the_newest_frame_is_refused_if_it_arrived_before_the_moment():
-    """The frame is 50 ms older than the action, so it shows the scene before it."""
-    now = time.monotonic()
-    eye = reader(frame(now - 0.05, 7), [frame(now + 10.0, 8)])
-    assert eye.frame_after(now).number == 8
+@pytest.mark.parametrize("late", [1e-6, 0.001, 0.03])
+def test_frames_from_before_the_moment_are_refused_also_those_that_a_driver_has_queued(reader, clock, late):
+    clock.sleep(late)
+    assert reader.frame_after(clock.now()).number == 11
+    for _ in range(3):
+        clock.sleep(0.1)
+    assert reader.frame_after(clock.now()).number == 15
 
 
-@pytest.mark.parametrize("late", [1e-6, 0.001, 0.05, 5.0])
-def test_frames_that_a_driver_has_queued_before_the_moment_are_skipped(late):
-    moment = time.monotonic()
-    queue = [frame(moment - late - 0.03, 5), frame(moment - late, 6), frame(moment, 7), frame(moment + 1.0, 8)]
-    assert reader(frame(moment - late, 6), queue).frame_after(moment).number == 7
+def test_a_moment_that_is_still_to_come_is_waited_for(reader, clock):
+    assert reader.frame_after(clock.now() + 0.55).number == 16
 
 
-def test_a_moment_that_is_still_to_come_is_waited_for():
-    moment = time.monotonic() + 5.0
-    eye = reader(frame(time.monotonic(), 6), [frame(moment - 0.01, 7), frame(moment + 0.01, 8)])
-    assert eye.frame_after(moment).number == 8
-
-
-def test_no_old_frame_stands_in_where_no_new_one_comes():
-    now = time.monotonic()
+def test_no_old_frame_stands_in_where_no_new_one_comes(reader, camera, clock):
+    clock.sleep(0.05)
+    camera.stall()
     with pytest.raises(FrameTimeout):
-        reader(frame(now - 0.05, 6), [frame(now - 0.04, 7)]).frame_after(now)
+        reader.frame_after(clock.now())
+    assert clock.now() == pytest.approx(1002.05)
 
 
-def test_a_recording_gives_its_next_frame_at_any_age():
-    now = time.monotonic()
-    assert reader(None, [frame(now - 99.0, 6)], live=False).frame_after(now).number == 6
-    assert reader(None, [frame(None, 6)]).frame_after(now).number == 6
+def test_the_frame_of_a_moment_counts_its_lag(reader, camera, clock):
+    """A frame that is 0.25 s late shows the scene of 0.25 s before it came."""
+    reader.frame_of(clock.now())
+    camera.delay = 0.25
+    moment = clock.now()
+    assert reader.frame_of(moment + 0.1).received == pytest.approx(moment + 0.4)
+    camera.delay = 9.0
+    assert reader.frame_of(moment + 1.0) is not None, "all are late: the newest, and its lag shows it"
+
+
+@pytest.mark.parametrize("received", [-99.0, None])
+def test_a_recording_gives_its_next_frame_at_any_age(clock, received):
+    images = np.zeros((6, 8, 3), np.uint8), np.full((6, 8), 500, np.uint16)
+    received = None if received is None else clock.now() + received
+    recording = FakeCamera([Frame(*images, CameraModel(LENS), received=received, number=6)], clock=clock)
+    recording.live = received is None
+    recording.connect()
+    assert FrameReader(recording, SIZE, timeout=1.0, now=clock.now).frame_after(clock.now()).number == 6

@@ -4,29 +4,25 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from camera_scene import camera, picture, source, streaming
-from cell_parts import ROPE, ListRobot
-from stable_baselines3.common.env_checker import check_env as check_sb3
+from fake_cell import ROPE, FakeRobot, make_env
 
 from shape_obs import ShapeObservation
 from shape_obs.source import CameraNotFound
+from shape_obs.utils.timing import CLOCK
 from shape_obs_envs.robots import SimulatedRobot
 from shape_obs_envs.sources.realsense.driver import recording_suffix
 
 
-def cell(eye: Any, robot: Any = None, **options: Any) -> Any:
-    given = {"size": [160, 120], "rate": 50.0, "timeout": 0.5, "disable_env_checker": True, **options}
-    return gym.make("shape_obs_envs:ShapeObs/D455-v0", source=eye, robot=robot, **given)
-
-
+@pytest.mark.nightly
 @pytest.mark.skipif(not find_spec("mujoco"), reason="the simulated robot needs MuJoCo: extra sim")
 def test_from_the_software_camera_to_sb3s_checker():
-    env = cell("robot", SimulatedRobot(seed=1), size=[640, 480], rate=30.0)
+    from stable_baselines3.common.env_checker import check_env as check_sb3
+
+    env = make_env("robot", SimulatedRobot(seed=1), size=[640, 480], rate=30.0)
     try:
         check_sb3(ShapeObservation(env))
         _, info = env.reset(seed=0)
@@ -41,7 +37,7 @@ def test_a_recording_gives_the_environment_the_same_images(tmp_path: Path):
         for number in range(12):
             device.push_raw(*picture(number), stamp=10 + number / 30)
             frames.append(stream.read(5))
-    env = cell(str(path))
+    env = make_env(str(path))
     observation, info = env.reset()
     terminated = truncated = False
     for frame in frames:
@@ -59,9 +55,9 @@ def test_a_recording_gives_the_environment_the_same_images(tmp_path: Path):
 
 
 def test_a_camera_that_is_pulled_out_ends_the_episode_and_a_reset_finds_it_again():
-    device, robot = camera(), ListRobot()
+    device, robot = camera(), FakeRobot(clock=CLOCK)
     with streaming(device):
-        env = ShapeObservation(cell(source(device), robot), **ROPE)
+        env = ShapeObservation(make_env(source(device), robot, timeout=0.5), **ROPE)
         env.reset()
         for _ in range(3):
             *_, truncated, info = env.step(np.zeros(2))
@@ -88,7 +84,7 @@ def test_a_camera_that_is_pulled_out_ends_the_episode_and_a_reset_finds_it_again
 def test_frozen_colours_end_the_episode_and_never_show_an_old_image():
     device = camera()
     with streaming(device):
-        env = cell(source(device))
+        env = make_env(source(device), timeout=0.5)
         env.reset()
         device.freeze_colour()
         numbers, truncated = [], False

@@ -2,85 +2,75 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
 import pytest
+from fake_camera import INTRINSICS, OVERHEAD, FakeCamera
 
-from shape_obs import Frame, Intrinsics
-from shape_obs.extrinsics import Extrinsics
-from shape_obs.source import CameraLost, CameraNotFound, RGBDSource, check_source
+from shape_obs import Frame
+from shape_obs.source import CameraLost, CameraNotFound, FrameTimeout, RGBDSource, check_source
+from shape_obs.utils.timing import CLOCK
 from shape_obs_envs.sources import LiveSource
 
-PLACE = Extrinsics(T=((1, 0, 0, 0), (0, -1, 0, 0), (0, 0, -1, 0.7), (0, 0, 0, 1)))
 
+class Driver(LiveSource):
+    """A user's driver of the fake camera, in real time at 50 Hz, which gives only images and stamps."""
 
-class Drawn(LiveSource):
-    """A camera at 50 Hz that ends with an error."""
-
-    def __init__(self, frames: int = 10**6, error: Exception | None = None, **options: Any) -> None:
-        super().__init__("drawn:1", **options)
-        self.frames, self.error, self.calls = frames, error, list[str]()
-        self.there = True
+    def __init__(self, script: Any = None, **options: Any) -> None:
+        super().__init__("fake:1", OVERHEAD, **options)
+        image = np.zeros((120, 160, 3), np.uint8)
+        self.device = FakeCamera(lambda number: image + number, script, hertz=50.0, clock=CLOCK)
 
     def open(self) -> None:
-        if not self.there:
-            raise CameraNotFound("it is not plugged in")
-        self.calls.append("open")
-        self.lens, self.count = Intrinsics(16, 12, 20.0, 20.0, 7.5, 5.5), 0
+        self.device.connect()
+        self.lens = INTRINSICS
 
     def grab(self, timeout: float) -> Frame | None:
-        time.sleep(0.02)
-        if self.count == self.frames:
-            if self.error is not None:
-                raise self.error
+        try:
+            frame = self.device.read(timeout)
+        except FrameTimeout:
             return None
-        self.count += 1
-        image = np.full((12, 16, 3), self.count % 256, np.uint8)
-        return Frame(image, np.full((12, 16), 700, np.uint16), stamp=self.count / 50)
+        return Frame(frame.rgb, frame.depth, stamp=frame.stamp)
 
     def close(self) -> None:
-        self.calls.append("close")
+        self.device.disconnect()
 
 
 def test_frames_get_a_camera_a_number_and_their_times():
-    source = Drawn(extrinsics=PLACE)
+    source = Driver()
     check_source(source)
     with source:
         assert isinstance(source, RGBDSource)
-        assert (source.kind, source.name, source.live, source.has_depth) == ("drawn", "drawn:1", True, True)
+        assert (source.kind, source.name, source.live, source.has_depth) == ("fake", "fake:1", True, True)
         frames: list[Any] = [source.read() for _ in range(3)]
         latest = source.read_latest(1.0)
     for number, frame in enumerate(frames):
-        assert frame.number == number
-        assert frame.rgb[0, 0, 0] == number + 1
+        assert frame.number == number == frame.rgb[0, 0, 0]
         assert frame.camera.intrinsics == source.lens
-        assert np.array_equal(frame.camera.transform_camera_to_base, PLACE.matrix)
+        assert np.array_equal(frame.camera.transform_camera_to_base, OVERHEAD.matrix)
         assert frame.exposed == pytest.approx(frame.received - 0.1)
-        assert 0 <= time.monotonic() - frame.received < 5
+        assert 0 <= CLOCK.now() - frame.received < 5
     assert latest.camera == frames[0].camera
-    assert source.calls == ["open", "close"]
+    assert source.device.calls == ["connect", "disconnect"]
 
 
 def test_an_error_of_the_camera_is_passed_on_and_it_can_be_connected_again():
-    source = Drawn(frames=2, error=CameraLost("the cable is out"))
+    source = Driver({2: FakeCamera.unplug})
     source.connect()
     assert [source.read().number, source.read().number] == [0, 1]
-    with pytest.raises(CameraLost, match=r"drawn:1: the cable is out\. Check it, and connect again\."):
+    with pytest.raises(CameraLost, match=r"fake:1: fake camera: it was unplugged\. Check it, and connect again\."):
         source.read(5.0)
-    source.there = False
     with pytest.raises(CameraNotFound):
         source.connect()
-    source.there = True
+    source.device.plug()
     source.connect()
-    assert source.read().number == 0
     source.disconnect()
-    assert source.calls == ["open", "close", "open", "close"]
+    assert source.device.calls == ["connect", "disconnect", "connect", "connect", "disconnect"]
 
 
-def test_a_silent_camera_is_lost_after_a_while():
-    with Drawn(frames=1, patience=0.2) as source:
+def test_a_camera_that_stalls_is_lost_after_a_while():
+    with Driver({1: FakeCamera.stall}, patience=0.2) as source:
         source.read()
         with pytest.raises(CameraLost, match=r"no frame for 0\.2 s"):
             source.read(5.0)
@@ -88,9 +78,8 @@ def test_a_silent_camera_is_lost_after_a_while():
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_bug_in_a_users_class_ends_the_wait_of_its_readers():
-    source = Drawn(frames=1, error=ZeroDivisionError("a bug"))
-    with source:
+    with Driver({1: lambda camera: camera.fail(ZeroDivisionError("a bug"))}) as source:
         source.read()
         with pytest.raises(CameraLost, match="internal error; see above"):
             source.read(5.0)
-    assert source.calls == ["open", "close"]
+    assert source.device.calls == ["connect", "disconnect"]
