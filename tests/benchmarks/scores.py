@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from typing import Any, Final
 
@@ -11,14 +11,15 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from shape_obs.bench.scenes import resample as resample_by_step
 from shape_obs.configurations.base import Ends
 from shape_obs.geometry.outline import clockwise
 from shape_obs.geometry.polyline import arc_length, interpolate, resample
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 from shape_obs.metrics import in_order, spacing_cv
 from shape_obs.shape import Shape
-from tests.benchmarks.tables import Row
+from tests.benchmarks.claim import Limit
+from shape_obs.bench.scenes import resample as resample_by_step
+from tests.benchmarks.tables import Column, Row, of, percent, total, worst
 
 Array = npt.NDArray[np.float64]
 
@@ -206,37 +207,70 @@ def _renumbered(points: Array, layout: Topology) -> list[Array]:
     return [np.roll(backwards, 1, axis=0) if isinstance(layout, Ring) else backwards]
 
 
-def tally_visible(frames: Sequence[Row]) -> Row:
-    """Count what was claimed of an object of which a part is hidden, over the frames of one or more tracks.
+def visible_row(frames: Iterable[Row], **labels: Any) -> Row:
+    """Count what was claimed of an object of which a part is hidden, over the frames of a track.
 
     Args:
         frames: One row for each: ``ok``, without a reason against it; ``shown``, the share of the object that is seen;
             ``off``: ``(N,)`` distances of the points from their material, in gaps; ``visible`` and ``valid``: ``(N,)``
             what was claimed; ``hidden``: ``(N,)`` what is true; ``mm``: ``(N,)`` millimetres, NaN without depth;
             ``track``: its number.
+        labels: Further fields of the row.
 
     Returns:
-        ``slips``: frames that are ok and have a visible point more than half a gap off, in percent of those that are
-        ok; ``refused``: in percent of the frames in which 55 % of the object shows; ``seen``: percent of the truly
-        visible points of these frames that are visible and valid; ``hidden_valid``: percent of the truly hidden points
-        that are valid; ``mm``: mean of the valid points; ``renewed``: how often a new track was reported.
+        The sums of which ``VISIBLE`` makes a table.
     """
-    ok = [row for row in frames if row.ok]
-    slips = sum(bool((row.off[row.visible] > SLIP).any()) for row in ok)
-    most = [row for row in frames if row.shown >= LEAST_SHOWN]
-    seen = [(row.visible & row.valid)[~row.hidden].mean() for row in most if not row.hidden.all()]
-    hidden = sum(int((row.valid & row.hidden).sum()) for row in frames)
+    frames = list(frames)
+    ok, due = [row for row in frames if row.ok], [row for row in frames if row.shown >= LEAST_SHOWN]
+    seen = [float((row.visible & row.valid)[~row.hidden].mean()) for row in due if not row.hidden.all()]
     errors = np.concatenate([row.mm[row.valid] for row in ok] or [np.empty(0)])
     return Row(
+        labels,
         frames=len(frames),
-        slips=100 * slips / max(len(ok), 1),
-        refused=100 * sum(not row.ok for row in most) / max(len(most), 1),
-        seen=100 * float(np.mean(seen)) if seen else 100.0,
-        hidden_valid=100 * hidden / max(sum(int(row.hidden.sum()) for row in frames), 1),
-        mm=float(errors.mean()) if len(errors) else float("nan"),
+        ok=len(ok),
+        slips=sum(bool((row.off[row.visible] > SLIP).any()) for row in ok),
+        due=len(due),
+        refused=sum(not row.ok for row in due),
+        seen=sum(seen),
+        with_seen=len(seen),
+        hidden=sum(int(row.hidden.sum()) for row in frames),
+        hidden_valid=sum(int((row.valid & row.hidden).sum()) for row in frames),
+        mm=float(errors.sum()),
+        measured=len(errors),
         renewed=sum(after.track == before.track + 1 for before, after in pairwise(frames)),
         worst=max((float(row.off[row.visible].max(initial=0.0)) for row in ok), default=0.0),
     )
+
+
+def _mean_mm(rows: Sequence[Row]) -> float | None:
+    found, count = sum(row.mm for row in rows), sum(row.measured for row in rows)
+    return None if not count or found != found else found / count
+
+
+# Slips are frames that are ok and have a visible point more than half a gap off; refused are frames in which 55 % of
+# the object shows; seen are truly visible points of these frames that are visible and valid.
+VISIBLE: Final[dict[str, Column]] = {
+    "frames": total("frames"),
+    "slips [%]": percent("slips", "ok"),
+    "refused [%]": percent("refused", "due"),
+    "seen [%]": percent("seen", "with_seen"),
+    "hidden and valid [%]": percent("hidden_valid", "hidden"),
+    "mean [mm]": _mean_mm,
+    "renewed": total("renewed"),
+    "worst [gaps]": of(worst, "worst"),
+}
+VISIBLE_LIMITS: Final = (
+    Limit("slips [%]", at_most=1, unit="%"),
+    Limit("refused [%]", at_most=2, unit="%"),
+    Limit("seen [%]", at_least=90, unit="%"),
+)
+
+
+def tally_visible(frames: Iterable[Row]) -> Row:
+    """Return ``VISIBLE`` of one track under short names; shares are in percent."""
+    names = ("frames", "slips", "refused", "seen", "hidden_valid", "mm", "renewed", "worst")
+    counted = [visible_row(frames)]
+    return Row(zip(names, (column(counted) for column in VISIBLE.values()), strict=True))
 
 
 def belief(shape: Shape, errors: Array, shown: npt.NDArray[np.bool_], slipped: bool) -> Row:

@@ -89,18 +89,37 @@ def failures(*fields: str) -> Column:
     return lambda rows: sum(not all(row[field] for field in fields) for row in rows)
 
 
-def mean(values: Iterable[float]) -> float:
-    """Return the mean of some numbers."""
+def total(field: str) -> Column:
+    """Return the column of a summary that is the sum of a field."""
+    return lambda rows: sum(row[field] for row in rows)
+
+
+def percent(part: str, whole: str = "") -> Column:
+    """Return the column of a summary that is one sum in percent of another one, or of the number of rows."""
+    return lambda rows: 100 * sum(row[part] for row in rows) / max(sum(row[whole] if whole else 1 for row in rows), 1)
+
+
+def joined(statistic: Callable[[list[Any]], Any], field: str) -> Column:
+    """Return the column of a summary that is a statistic of all values of a field of lists; None without a value."""
+
+    def column(rows: list[Row]) -> Any:
+        values = [value for row in rows for value in row[field]]
+        return statistic(values) if values else None
+
+    return column
+
+
+def mean(values: Iterable[float]) -> float | None:
+    """Return the mean of the numbers that are not NaN, or None if there are none."""
     import numpy as np
 
-    return float(np.mean(list(values)))
+    known = [value for value in values if value == value]
+    return float(np.mean(known)) if known else None
 
 
-def worst(values: Iterable[float]) -> float:
-    """Return the largest of some numbers that are not negative, or 0 if there are none."""
-    import numpy as np
-
-    return float(np.max(list(values), initial=0.0))
+def worst(values: Iterable[float]) -> float | None:
+    """Return the largest of the numbers that are not NaN, or None if there are none."""
+    return max((float(value) for value in values if value == value), default=None)
 
 
 def median(values: Iterable[float | None]) -> float | None:
@@ -113,6 +132,8 @@ def median(values: Iterable[float | None]) -> float | None:
 
 def as_text(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return rows of equal keys as aligned columns."""
+    if not rows:
+        return "-"
     cells = [[*rows[0]], *([_cell(value) for value in row.values()] for row in rows)]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     return "\n".join("  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in cells)

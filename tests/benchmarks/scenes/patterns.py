@@ -1,44 +1,19 @@
-"""Measure the processor time of a frame over masks that are no object: noise, text, combs, mazes, rings, pieces."""
+"""Masks that show no object: noise, text, combs, mazes, rings, tangles of lines, plates full of holes."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable
 from functools import partial
 from itertools import pairwise, product
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.scenes import moving_blob, moving_rope, moving_sheet
-from shape_obs.camera import Intrinsics
-from shape_obs.configurations.base import Configuration
-from shape_obs.configurations.centerline import Centerline
-from shape_obs.configurations.contour import Contour
-from shape_obs.configurations.surface import Surface
-from shape_obs.detector import ShapeDetector
-from shape_obs.image.segmentation import GrayRange
-from shape_obs.shape import Detection, Shape
-from shape_obs.utils.threads import one_thread
-from tests.benchmarks import Size
-from tests.benchmarks.tables import Row, at_most, failures, grouped, of, summary, worst
-
 Mask = npt.NDArray[np.uint8]
+Size = tuple[int, int]
 Draw = Callable[[np.random.Generator, Size], Mask]
-
-SIZES: Final[dict[Size, float]] = {(640, 480): 25.0, (1280, 720): 75.0}  # and milliseconds asked
-HICCUP: Final = 10.0  # milliseconds asked of a tracked sequence at 640 x 480
-SHAPES: Final[dict[str, tuple[type[Configuration], Callable[..., Iterable[Any]]]]] = {
-    "centerline": (Centerline, partial(moving_rope, speed=6.0, frames=26)),
-    "contour": (Contour, partial(moving_blob, turn=0.02, speed=4.0, swell=0.1, frames=26)),
-    "surface": (Surface, partial(moving_sheet, speed=6.0, frames=26)),
-}
-INPUTS: Final = ("mask", "mask and depth", "image", "cloud")
-_TRACKED: Final = 20  # good frames before the bad one
-_ENOUGH: Final = 200.0  # milliseconds: what takes longer is not repeated
-_REPEATS: Final = 3
 
 
 def _noise(rng: np.random.Generator, size: Size, share: float, grain: int) -> Mask:
@@ -142,6 +117,10 @@ def _dust(rng: np.random.Generator, size: Size, thick: int, share: float) -> Mas
     return np.where(rng.random(canvas.shape) < share, 255 - canvas, canvas).astype(np.uint8)
 
 
+def _mask(inside: npt.NDArray[Any]) -> Mask:
+    return np.where(inside, 255, 0).astype(np.uint8)
+
+
 PATTERNS: Final[dict[str, Draw]] = {
     **{f"noise {p:.0%}, grain {g}": partial(_noise, share=p, grain=g)
        for p, g in product((0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.95), (1, 2, 4, 8, 16))},
@@ -169,128 +148,3 @@ PATTERNS: Final[dict[str, Draw]] = {
        for k, p in ((4, 0.05), (12, 0.05), (40, 0.05), (12, 0.15))},
     "full": lambda rng, size: np.full(size[::-1], 255, np.uint8),
 }  # fmt: skip
-
-
-class Scene(NamedTuple):
-    """A pattern as a detector may be given it: ``(H, W)`` mask, depth in metres and ``(H, W, 3)`` image."""
-
-    mask: Mask
-    depth: npt.NDArray[np.float32]
-    rgb: Mask
-    camera: Intrinsics
-
-
-def scene_of(mask: Mask, rng: np.random.Generator) -> Scene:
-    """Return a mask with an image of the same pixels, and with noisy depth under it."""
-    height, width = mask.shape
-    depth = (0.7 + 0.002 * rng.standard_normal(mask.shape)).astype(np.float32)
-    camera = Intrinsics(width, height, float(width), float(width), width / 2 - 0.5, height / 2 - 0.5)
-    return Scene(mask, depth, np.repeat(mask[..., None], 3, axis=2), camera)
-
-
-def detector_for(name: str, given: str) -> ShapeDetector:
-    """Return a detector of a configuration for one of the inputs."""
-    spec = SHAPES[name][0](lift="cloud" if given == "cloud" else "points")
-    return ShapeDetector([spec], GrayRange(low=128), on_missing="hold")
-
-
-def detect(detector: ShapeDetector, scene: Scene, given: str) -> Detection:
-    """Detect in one of the inputs."""
-    if given == "mask":
-        return detector.detect_mask(scene.mask)
-    if given == "image":
-        return detector.detect(scene.rgb, scene.depth, scene.camera)
-    return detector.detect_mask(scene.mask, scene.depth, scene.camera)
-
-
-def worst_cases(
-    size: Size,
-    seed: int = 0,
-    inputs: Iterable[str] = INPUTS,
-    shapes: Iterable[str] = tuple(SHAPES),
-    patterns: Iterable[str] = tuple(PATTERNS),
-) -> Iterator[Row]:
-    """Detect every pattern without a track.
-
-    Yields:
-        ``ms``: least processor time of one frame in up to three tries; ``passes``: the same in times of one
-        ``cv2.sumElems`` over the image; ``ok``; ``reason``.
-    """
-    detectors = {(name, given): detector_for(name, given) for name, given in product(shapes, inputs)}
-    with one_thread():
-        for index, pattern in enumerate(patterns):
-            rng = np.random.default_rng([seed, index])
-            scene = scene_of(PATTERNS[pattern](rng, size), rng)
-            one_pass = min(_milliseconds(partial(cv2.sumElems, scene.rgb))[0] for _ in range(20))
-            for (name, given), detector in detectors.items():
-                taken: list[tuple[float, Shape]] = []
-                while len(taken) < _REPEATS and not (taken and taken[0][0] > _ENOUGH):
-                    detector.reset()
-                    took, found = _milliseconds(partial(detect, detector, scene, given))
-                    taken.append((took, found.shapes[0]))
-                took, shape = min(taken, key=lambda each: each[0])
-                row = Row(size=f"{size[0]}x{size[1]}", pattern=pattern, shape=name, given=given, ms=took)
-                yield Row(row, passes=took / one_pass, ok=shape.ok, reason=shape.reason)
-
-
-def hiccups(
-    seed: int = 0,
-    inputs: Iterable[str] = INPUTS[:3],
-    shapes: Iterable[str] = tuple(SHAPES),
-    patterns: Iterable[str] = tuple(PATTERNS),
-) -> Iterator[Row]:
-    """Track an object at 640 x 480 for 20 frames; then one frame is a pattern, and the object returns.
-
-    Yields:
-        ``bad_ms``: processor time of the frame with the pattern; ``after_ms``: that of the slowest of the five frames
-        after it, both the least of three tries; ``ok``: whether the last frame was found.
-    """
-    size = (640, 480)
-    with one_thread():
-        for name, given in product(shapes, inputs):
-            rng = np.random.default_rng(seed)
-            detector = detector_for(name, given)
-            good = [scene_of(drawn.mask, rng) for drawn in SHAPES[name][1](rng)]
-            for index, pattern in enumerate(patterns):
-                bad = scene_of(PATTERNS[pattern](np.random.default_rng([seed, index]), size), rng)
-                taken, ok = [], False
-                for _ in range(_REPEATS):
-                    detector.reset()
-                    frames = [*good[:_TRACKED], bad, *good[_TRACKED : _TRACKED + 5]]
-                    found = [_milliseconds(partial(detect, detector, scene, given)) for scene in frames]
-                    taken.append([took for took, _ in found[_TRACKED:]])
-                    ok = found[-1][1].ok and not found[-1][1].shapes[0].reason
-                    if taken[-1][0] > _ENOUGH:
-                        break
-                first, *rest = np.min(taken, axis=0).tolist()
-                yield Row(pattern=pattern, shape=name, given=given, bad_ms=first, after_ms=max(rest), ok=ok)
-
-
-def slowest(rows: list[Row], by: Sequence[str], times: Sequence[str]) -> list[Row]:
-    """Return the longest times of each group of rows, how many shapes were not found, and the slowest pattern."""
-    columns = {"patterns": len, "not_ok": failures("ok"), **{name: of(worst, name) for name in times}}
-    pattern = {"slowest": lambda found: max(found, key=lambda row: row[times[0]]).pattern}
-    return summary(rows, by, {**columns, **pattern})
-
-
-def targets(cold: list[Row], tracked: list[Row]) -> list[Row]:
-    """Return the slowest frames against what is asked of them."""
-    rows = []
-    for size, found in grouped(cold, lambda row: row.size).items():
-        asked = next(limit for (width, height), limit in SIZES.items() if size == f"{width}x{height}")
-        rows.append(at_most(f"slowest pattern at {size}", asked, max(row.ms for row in found), " ms"))
-    if tracked:
-        slowest = max(max(row.bad_ms, row.after_ms) for row in tracked)
-        rows.append(at_most("slowest frame of a tracked sequence with one pattern in it", HICCUP, slowest, " ms"))
-    return rows
-
-
-def _milliseconds(call: Callable[[], Any]) -> tuple[float, Any]:
-    """Return the processor time of a call, and its result."""
-    begin = time.process_time()
-    result = call()
-    return 1e3 * (time.process_time() - begin), result
-
-
-def _mask(inside: npt.NDArray[Any]) -> Mask:
-    return np.where(inside, 255, 0).astype(np.uint8)

@@ -1,0 +1,135 @@
+"""Describe a claim as data: its scenes, how one scene is measured, how rows are summarised, and the limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tests.benchmarks.tables import Column, Row, summary
+
+
+class Effort(NamedTuple):
+    """State how much to measure.
+
+    Args:
+        share: Share of the full counts; 1 is the full run.
+        seed: Seed of everything that is drawn at random.
+        renderer: The simulator's renderer: ``"auto"``, ``"gl"`` or ``"rays"``.
+        garments: A JSON file of annotated garment outlines; None leaves them out.
+    """
+
+    share: float = 1.0
+    seed: int = 0
+    renderer: str = "auto"
+    garments: Path | None = None
+
+    def count(self, full: int) -> int:
+        """Return the share of a full count, at least one."""
+        return max(round(full * self.share), 1)
+
+    def seeds(self, full: int) -> range:
+        """Return the share of a full number of seeds."""
+        return range(self.seed, self.seed + self.count(full))
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Bound a column of a claim's table.
+
+    Args:
+        column: The column.
+        at_most: The largest value that is allowed; None for no upper bound.
+        at_least: The smallest value that is allowed; None for no lower bound.
+        unit: Unit of the value, for the report.
+        where: Field -> value, or tuple of values, of the rows to which the limit applies; all rows if it is empty.
+        known: Why the limit is missed today; such a miss does not fail the run.
+    """
+
+    column: str
+    at_most: float | None = None
+    at_least: float | None = None
+    unit: str = ""
+    where: Mapping[str, Any] = field(default_factory=dict)
+    known: str = ""
+
+    def check(self, table: Sequence[Row]) -> Row:
+        """Compare the worst row with the limit.
+
+        Returns:
+            ``limit``: the column and the rows; ``asked``, ``seen``; ``ok``: "yes", "no" or "not measured"; ``known``.
+
+        Raises:
+            KeyError: The table has no such column.
+        """
+        some = [row for row in table if all(_matches(row[name], value) for name, value in self.where.items())]
+        values = [float(row[self.column]) for row in some if row[self.column] is not None]
+        values = [value for value in values if value == value]
+        seen = None if not values else max(values) if self.at_most is not None else min(values)
+        bound = self.at_most if self.at_most is not None else self.at_least
+        assert bound is not None
+        keeps = seen is not None and (seen <= bound if self.at_most is not None else seen >= bound)
+        what = ", ".join([self.column, *(f"{name} {_text(value)}" for name, value in self.where.items())])
+        return Row(
+            limit=what,
+            asked=f"{'<=' if self.at_most is not None else '>='} {bound:g}{self.unit and ' ' + self.unit}",
+            seen=seen,
+            ok="not measured" if seen is None else "yes" if keeps else "no",
+            known=self.known,
+        )
+
+
+def _matches(found: Any, value: Any) -> bool:
+    return found in value if isinstance(value, tuple) else found == value
+
+
+def _text(value: Any) -> str:
+    return " or ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
+@dataclass(frozen=True)
+class Claim:
+    """State one claim about accuracy or speed, which ends in one table.
+
+    Args:
+        name: Its name, such as ``"ropes.cold"``; the part before the dot is its group.
+        what: What is measured, in one sentence.
+        scenes: Takes the effort and generates the scenes, in an order that a seed fixes.
+        measure: Takes a scene and returns one row of results, or several.
+        by: The fields that are equal in a row of the table.
+        columns: Name of a column -> function that takes the rows of a group. Without any, all rows are the table.
+        total: Whether the table ends with a row over all groups, whose first field is "all".
+        limits: What the table has to keep.
+        alone: Whether nothing else may run at the same time, because times are compared with constants.
+        needs: Modules without which the claim is left out.
+    """
+
+    name: str
+    what: str
+    scenes: Callable[[Effort], Iterable[Any]]
+    measure: Callable[[Any], Row | Iterable[Row]]
+    by: tuple[str, ...] = ()
+    columns: Mapping[str, Column] = field(default_factory=dict)
+    total: bool = False
+    limits: tuple[Limit, ...] = ()
+    alone: bool = False
+    needs: tuple[str, ...] = ()
+
+    def results(self, effort: Effort) -> list[Row]:
+        """Measure every scene and return the results of all scenes."""
+        found: list[Row] = []
+        for scene in self.scenes(effort):
+            rows = self.measure(scene)
+            found += [rows] if isinstance(rows, Row) else rows
+        return found
+
+    def table(self, results: Sequence[Row]) -> list[Row]:
+        """Return the table of some results."""
+        if not self.columns:
+            return list(results)
+        rows = summary(results, self.by, self.columns)
+        if self.total and rows:
+            whole = summary(results, (), self.columns)[0]
+            rows.append(Row({name: "all" if name == self.by[0] else "" for name in self.by}, **whole))
+        return rows

@@ -1,0 +1,216 @@
+"""Shapes in space: clouds of ropes, rings and sheets, moving clouds, and images at a slant."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import product
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import KDTree
+from scipy.spatial.distance import pdist
+
+from shape_obs.configurations.base import Configuration
+from shape_obs.configurations.centerline import Centerline
+from shape_obs.configurations.contour import Contour
+from shape_obs.configurations.surface import Surface
+from shape_obs.detector import ShapeDetector
+from shape_obs.geometry.polyline import resample
+from shape_obs.metrics import spacing_cv
+from shape_obs.shape import Shape
+from tests.benchmarks import followed
+from tests.benchmarks.claim import Claim, Effort, Limit
+from tests.benchmarks.scenes import clouds
+from tests.benchmarks.scenes.images import CAMERA, tilted_rope, tilted_sheet
+from tests.benchmarks.scenes.ropes import KINDS
+from tests.benchmarks.scores import score, tally
+from tests.benchmarks.tables import Row, failures, mean, median, of, total, worst
+
+Array = npt.NDArray[np.float64]
+COUNTS: Final = (8, 20, 50)
+_WAYS: Final[dict[str, dict[str, Any]]] = {"px": {}, "m": {"spacing": "m"}, "cloud": {"lift": "cloud"}}
+
+
+def drawn(effort: Effort) -> Iterator[tuple[str, Any]]:
+    """Draw rope clouds seen all round and from the front, closed ropes with and without holes, and bent sheets."""
+    count = effort.count(30)
+    rng = np.random.default_rng(effort.seed)
+    sides: tuple[clouds.Side, ...] = ("all", "front")
+    for side, _ in product(sides, range(count)):
+        yield f"rope, {side}", clouds.rope_cloud(rng, side=side)
+    rng = np.random.default_rng(effort.seed)
+    yield from (("ring", clouds.ring_cloud(rng, holes=index % 3 * 2)) for index in range(count))
+    rng = np.random.default_rng(effort.seed)
+    yield from (("sheet", clouds.sheet_cloud(rng, bend=(0.2, 0.8, 2.0)[index % 3])) for index in range(count))
+
+
+def cold_cloud(scene: tuple[str, Any]) -> Iterator[Row]:
+    """Detect a cloud with 3 mm noise and holes cold: ropes at each N from tip to tip, sheets also by their outline.
+
+    Yields:
+        ``ordered``: whether the order is right; ``curve_mm``: mean distance of valid points from the true curve (axis
+        or border), for a lattice as ``place_mm``; ``place_mm``: from their positions on the material, at equal arc
+        length, NaN if the shape has no first point.
+    """
+    name, cloud = scene
+    if name == "ring":
+        closed = np.concatenate([cloud.curve, cloud.curve[:1]])
+        yield _around("ring", Contour(), cloud, resample(closed, 4000))
+    elif name == "sheet":
+        shape, times = _twice(Surface(rows=4, cols=8, ends="tips"), cloud)
+        true = cloud.lattice(4, 8)
+        apart = np.linalg.norm(_points(shape) - true, axis=1)
+        mm, right = _mm(apart[shape.valid]), bool(apart.max() < pdist(true).min() / 2)
+        yield _result("sheet, lattice", shape, times, ordered=right, curve_mm=mm, place_mm=mm)
+        share = np.linspace(0, 1, 500)
+        zero, one = np.zeros_like(share), np.ones_like(share)
+        sides = [(share, zero), (one, share), (share[::-1], one), (zero, share[::-1])]
+        yield _around("sheet, outline", Contour(), cloud, np.concatenate([cloud.at(np.column_stack(s)) for s in sides]))
+    else:
+        radius = cloud.radius if name == "rope, front" else 0.0
+        for n in COUNTS:
+            shape, times = _twice(Centerline(n=n, ends="tips", radius=radius), cloud)
+            distance, nearest = _nearest(resample(cloud.curve, 4000), _points(shape)[shape.valid])
+            steps = np.diff(nearest)
+            ordered = bool(len(steps) and (np.all(steps > 0) or np.all(steps < 0)))
+            place = _either_way(shape, resample(cloud.curve, n))
+            yield _result(name, shape, times, ordered=ordered, curve_mm=_mm(distance), place_mm=place)
+
+
+def follow_cloud(scene: tuple[int, float]) -> Row:
+    """Track a rope cloud that wanders and bends; an anchor gives point 0 in the first frame; slips are in gaps."""
+    seed, speed = scene
+
+    def begin(rope: clouds.RopeCloud) -> ShapeDetector:
+        x, y, z = rope.curve[0].tolist()
+        return ShapeDetector([Centerline(ends="tips", anchor=(x, y, z))], on_invalid="interpolate")
+
+    motion = clouds.moving_rope_cloud(np.random.default_rng(seed), speed)
+    pairs = list(followed(motion, begin, lambda detector, rope: detector.detect_cloud(rope.points)))
+    scores = [score(_points(found.shapes[0]), rope.curve, "tips") for rope, found in pairs]
+    flips, not_ok = sum(each.flipped for each in scores), sum(not found.ok for _, found in pairs)
+    mm = [1e3 * each.distance for each in scores]
+    return Row(tally(scores), speed=speed, flips=flips, not_ok=not_ok, mm=mean(mm))
+
+
+def tilted(effort: Effort) -> Iterator[tuple[str, Any]]:
+    """Draw ropes and cloths on planes at a slant."""
+    rng = np.random.default_rng(effort.seed)
+    for index in range(effort.count(30)):
+        yield "rope", tilted_rope(rng, KINDS[index % len(KINDS)])
+        yield "sheet", tilted_sheet(rng)
+
+
+def lifted(scene: tuple[str, Any]) -> Iterator[Row]:
+    """Detect a rope (20 points, tip to tip) or a sheet (4 x 8) at a slant, with every way of lifting."""
+    name, image = scene
+    is_rope = name == "rope"
+    spec: Configuration = Centerline(ends="tips") if is_rope else Surface(rows=4, cols=8, ends="tips")
+    for way, given in _WAYS.items():
+        shape, times = _twice(replace(spec, **given), image)
+        place = _either_way(shape, resample(image.curve, 20)) if is_rope else _from(image.lattice(4, 8), shape)
+        wide = not (is_rope and image.hairpin)  # no bend is narrower than a gap
+        yield Row(times, object=name, way=way, wide=wide, ok=shape.ok, place_mm=place, gap_cv=_gap_cv(shape))
+
+
+def _around(cloud: str, spec: Configuration, scene: Any, border: Array) -> Row:
+    """Compare a closed shape with its true curve, which is given by close points."""
+    shape, times = _twice(spec, scene)
+    distance, nearest = _nearest(border, _points(shape))
+    step = np.roll(nearest, -1).astype(int) - nearest
+    wrapped = (step + len(border) // 2) % len(border) - len(border) // 2
+    ordered = bool(np.all(wrapped > 0) or np.all(wrapped < 0))
+    return _result(cloud, shape, times, ordered=ordered, curve_mm=_mm(distance[shape.valid]), place_mm=np.nan)
+
+
+def _result(cloud: str, shape: Shape, times: Row, **found: Any) -> Row:
+    valid = 100 * float(shape.valid.mean())
+    return Row(times, cloud=cloud, n=len(shape), ok=shape.ok, gap_cv=_gap_cv(shape), valid=valid, **found)
+
+
+def _twice(spec: Configuration, scene: Any) -> tuple[Shape, Row]:
+    """Return the shape of a cloud or an image at a cold start, and the times of that frame and of the next one."""
+    detector = ShapeDetector([spec], on_invalid="interpolate", on_missing="nan")
+    is_cloud = isinstance(scene, (clouds.RopeCloud, clouds.SheetCloud))
+    first, second = (
+        detector.detect_cloud(scene.points) if is_cloud else detector.detect_mask(scene.mask, scene.depth, CAMERA)
+        for _ in range(2)
+    )
+    return first.shapes[0], Row(cold_ms=first.timings["total"], warm_ms=second.timings["total"])
+
+
+def _nearest(curve: Array, points: Array) -> tuple[Array, npt.NDArray[np.int_]]:
+    """Return the distance of each point from the nearest point of a curve, and the index of that one."""
+    tree: Any = KDTree(curve)
+    return tree.query(points)
+
+
+def _points(shape: Shape) -> Array:
+    """Return the points in space, ``(N, 3)``; zeros where nothing was found."""
+    assert shape.points3d is not None
+    return np.nan_to_num(shape.points3d.astype(np.float64))
+
+
+def _mm(distance: Array) -> float:
+    return 1e3 * float(distance.mean()) if len(distance) else np.nan
+
+
+def _from(true: Array, shape: Shape) -> float:
+    """Return the mean distance of valid points from their true positions in mm."""
+    return _mm(np.linalg.norm(_points(shape) - true, axis=1)[shape.valid])
+
+
+def _either_way(shape: Shape, true: Array) -> float:
+    """Return the mean distance of valid points from their true positions in mm, whichever end comes first."""
+    return min(_from(true, shape), _from(true[::-1], shape))
+
+
+def _gap_cv(shape: Shape) -> float:
+    """Return the coefficient of variation of the gaps between valid neighbours."""
+    return spacing_cv(_points(shape), shape.layout, shape.valid)
+
+
+def _wide(row: Row) -> bool:
+    return bool(row.wide)
+
+
+CLAIMS: Final = (
+    Claim(
+        "clouds.cold", "Clouds of ropes, rings and sheets with 3 mm of noise and holes, cold.",
+        drawn, cold_cloud, ("cloud", "n"),
+        {"clouds": len, "refused": failures("ok"), "order wrong": failures("ordered"),
+         "to the curve, mean [mm]": of(mean, "curve_mm"), "to the curve, worst [mm]": of(worst, "curve_mm"),
+         "to their places, mean [mm]": of(mean, "place_mm"), "to their places, worst [mm]": of(worst, "place_mm"),
+         "gap CV, worst": of(worst, "gap_cv"), "valid [%]": of(mean, "valid"),
+         "cold [ms]": of(median, "cold_ms"), "warm [ms]": of(median, "warm_ms")},
+        limits=(
+            Limit("refused", at_most=0), Limit("order wrong", at_most=0),
+            Limit("to the curve, worst [mm]", at_most=2.5, unit="mm",
+                  where={"cloud": ("rope, all", "rope, front", "ring")}),
+            Limit("to the curve, worst [mm]", at_most=5, unit="mm"),
+            Limit("gap CV, worst", at_most=0.06),
+        ),
+    ),
+    Claim(
+        "clouds.moving", "Rope clouds that wander and bend, tracked over 180 frames, by metres per frame.",
+        lambda effort: product(effort.seeds(3), (0.005, 0.015)), follow_cloud, ("speed",),
+        {"tracks": len, "flips": total("flips"), "slips": total("slips"), "refused": total("not_ok"),
+         "worst place [gaps]": of(worst, "worst_slip"), "mean [mm]": of(mean, "mm")},
+        limits=(Limit("flips", at_most=0), Limit("slips", at_most=0), Limit("refused", at_most=0),
+                Limit("mean [mm]", at_most=2, unit="mm")),
+    ),
+    Claim(
+        "clouds.tilted", "Ropes and cloths at a slant, by `spacing` (px, m) and `lift=\"cloud\"`.",
+        tilted, lifted, ("object", "way"),
+        {"images": len, "refused": failures("ok"), "gap CV, mean": of(mean, "gap_cv", _wide),
+         "gap CV, worst": of(worst, "gap_cv", _wide), "to their places, mean [mm]": of(mean, "place_mm", _wide),
+         "to their places, worst [mm]": of(worst, "place_mm", _wide), "warm [ms]": of(median, "warm_ms")},
+        limits=(
+            Limit("refused", at_most=0),
+            Limit("gap CV, worst", at_most=0.01, where={"way": "cloud"}),
+            Limit("to their places, mean [mm]", at_most=5, unit="mm", where={"way": ("m", "cloud")}),
+        ),
+    ),
+)  # fmt: skip

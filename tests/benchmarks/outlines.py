@@ -1,0 +1,269 @@
+"""Outlines in masks and in space: cold, turning, at rest, under a hand, tilted and bent."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from itertools import chain, product
+from typing import Any, Final
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.bench.scenes import Blob, moving_blob, resample
+from shape_obs.configurations.contour import Contour
+from shape_obs.detector import ShapeDetector
+from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.outline import clockwise
+from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, equal_chords
+from tests.benchmarks import at_rest, cold, followed
+from tests.benchmarks.claim import Claim, Effort, Limit
+from tests.benchmarks.scenes.blobs import KINDS, Garment, garments, random_blob
+from tests.benchmarks.scenes.flat_objects import FlatScene, Motion, View, in_space, noisy_depth, ring, under_hand
+from tests.benchmarks.scores import SLIP, VISIBLE, VISIBLE_LIMITS, belief, outline_score, tally, visible_row
+from tests.benchmarks.tables import Column, Row, failures, mean, median, of, total, worst
+
+COUNTS: Final = (16, 32, 64)
+# Motions that are tracked: keywords of ``moving_blob``, which by default turns by 0.08 rad per frame.
+MOTIONS: Final[dict[str, dict[str, Any]]] = {
+    "ring": {},
+    "ring backwards": {"turn": -0.08},
+    "nearly round": {"bumps": 0.03},
+    "12 px a frame": {"speed": 12},
+    "40 px a frame": {"speed": 40},
+    "deforming": {"turn": 0.03, "swell": 0.4},
+    "hole": {"hole": True},
+    "circle": {"turn": 0.0, "bumps": 0.0, "speed": 0.2},
+    "circle, 160 x 120": {"turn": 0.0, "bumps": 0.0, "speed": 0.2, "radius": 25.0, "size": (120, 160)},
+    "nearly round, 160 x 120": {"bumps": 0.03, "radius": 25.0, "size": (120, 160)},
+}
+VIEWS: Final = (View(), View(height=120))
+SPEEDS: Final = (0.5, 1, 2, 4, 8, 16)  # of a hand, pixels of a 640 x 480 image per frame
+SWINGS: Final = (8, 16, 40)
+_FINE: Final = 64  # places on the true outline to a gap
+# In gaps. Equal chords may move points along the outline by 1.5 gaps (``equal_chords``); an outline that needs
+# this much may need all of it once it is detected.
+_COARSE: Final = 1.3
+
+
+def drawn_blobs(effort: Effort) -> Iterator[Blob]:
+    """Draw random blobs with a known outline."""
+    rng = np.random.default_rng(effort.seed)
+    return (random_blob(rng, kind) for kind, _ in product(KINDS, range(effort.count(8))))
+
+
+def annotated(effort: Effort) -> Iterable[Blob]:
+    """Return the annotated garments, or nothing without their file."""
+    return () if effort.garments is None else garments(effort.garments)
+
+
+def cold_outline(blob: Blob) -> Iterator[Row]:
+    """Detect a blob cold at each N.
+
+    Yields:
+        The fields of ``outline_score``. ``coarse``: equal chords would move so few points by 1.3 gaps or more from
+        equal arc length, even on the true outline, because it bends within a gap; the gaps may then be unequal, so that
+        points stay on their material. ``corners``: the distance of each annotated corner to the nearest point, as a
+        share of the outline's length.
+    """
+    for n in COUNTS:
+        length = float(np.linalg.norm(np.roll(blob.outline, -1, axis=0) - blob.outline, axis=1).sum())
+        shape = cold(Contour(n=n), blob.mask)
+        found = shape.pixels.astype(np.float64)
+        keypoints = blob.corners.values() if isinstance(blob, Garment) else ()
+        corners = [np.linalg.norm(found - corner, axis=1).min() / length for corner in keypoints]
+        coarse = _shift(blob.outline, found[0], n) > _COARSE
+        yield Row(outline_score(found, blob.outline), kind=blob.kind, n=n, coarse=coarse, ok=shape.ok, corners=corners)
+
+
+def _shift(outline: npt.NDArray[np.float64], start: npt.NDArray[np.float64], n: int) -> float:
+    """Return how far equal chords move N points on an outline from equal arc length, in gaps."""
+    fine = resample(np.concatenate([outline, outline[:1]]), 0.25)[:-1]
+    begin = int(np.argmin(np.linalg.norm(fine - start, axis=1)))
+    curve = FittedCurve.through(np.roll(fine, -begin, axis=0), np.zeros(len(fine), bool), closed=True)
+    around = np.concatenate([curve.points, curve.points[:1]])
+    at = equal_chords(around, curve.arc, around, curve.arc, n + 1, 0.0, MAX_SHIFT_AROUND)[1]
+    return float(np.abs(at * n / curve.size - np.arange(n + 1)).max())
+
+
+def follow_outline(scene: tuple[int, str]) -> Row:
+    """Track an outline that turns, wanders and deforms; an anchor gives point 0 in the first frame; slips in gaps."""
+    seed, motion = scene
+
+    def tracked(blob: Blob) -> npt.NDArray[np.float64]:
+        return blob.outline if blob.hole is None else blob.hole
+
+    def begin(blob: Blob) -> ShapeDetector:
+        (u, v), hole = tracked(blob)[0].tolist(), None if blob.hole is None else 0
+        return ShapeDetector([Contour(hole=hole, anchor=(u, v))])
+
+    drawn = moving_blob(np.random.default_rng(seed), **MOTIONS[motion])
+    pairs = [(tracked(blob), detection) for blob, detection in followed(drawn, begin)]
+    scores = [outline_score(detection.shapes[0].pixels, truth) for truth, detection in pairs]
+    return Row(
+        tally(scores),
+        motion=motion,
+        disordered=sum(not (score.ordered and score.clockwise) for score in scores),
+        not_ok=sum(not detection.ok for _, detection in pairs),
+        distance=mean(score.distance for score in scores),
+        fit_ms=median(detection.timings["fit"] for _, detection in pairs),
+    )
+
+
+def at_rest_in_noise(scene: tuple[Blob, float]) -> Row:
+    """Detect an outline at rest in 60 masks of which a share of the pixels on either side of the border flips.
+
+    Returns:
+        ``rms`` distance of the points from their mean positions, and ``drift``: the mean distance of the points between
+        the first and the last tenth of the frames, in pixels.
+    """
+    blob, share = scene
+    near, few = np.ones((3, 3), np.uint8), 6
+    rng, border = np.random.default_rng(0), cv2.dilate(blob.mask, near) != cv2.erode(blob.mask, near)
+    flips = (border & (rng.random(border.shape) < share) for _ in range(10 * few))
+    shapes, squares = at_rest(Contour(), [np.where(each, 255 - blob.mask, blob.mask) for each in flips])
+    first, last = (np.mean([s.pixels for s in some], axis=0, dtype=float) for some in (shapes[:few], shapes[-few:]))
+    drift = float(np.linalg.norm(last - first, axis=-1).mean())
+    rms, refused = float(np.sqrt(squares.mean())), sum(not shape.ok for shape in shapes)
+    return Row(kind=blob.kind, flipped=share, refused=refused, rms=rms, drift=drift)
+
+
+def resting(effort: Effort) -> Iterator[tuple[Blob, float]]:
+    """Draw every kind of blob, and the shares of border pixels that flip."""
+    blobs = list(drawn_blobs(effort))
+    return product(blobs[:: len(blobs) // 4 or 1], (0.05, 0.1))
+
+
+def under_hands(with_depth: bool) -> Callable[[Effort], Iterator[dict[str, Any]]]:
+    """Return the scenes of closed bands and plain blobs over the border of which a hand comes, stays and goes."""
+
+    def scenes(effort: Effort) -> Iterator[dict[str, Any]]:
+        for view, hollow, moving, seed, speed in product(VIEWS, (True, False), (0.0, 4.0), effort.seeds(50), SPEEDS):
+            rng = np.random.default_rng((seed, round(10 * speed)))
+            drawn = under_hand(rng, ring(rng, hollow), view, "side", speed, moving, level=not with_depth)
+            what = "ring" if hollow else "blob"
+            yield {"scenes": drawn, "view": view, "object": what, "motion": f"{moving:g} px", "depth": with_depth}
+
+    return scenes
+
+
+def swung(noise: bool) -> Callable[[Effort], Iterator[dict[str, Any]]]:
+    """Return the scenes of bands and blobs that are lifted and tilted, or of which a side bends to the camera."""
+
+    def scenes(effort: Effort) -> Iterator[dict[str, Any]]:
+        motions: tuple[Motion, ...] = ("tilted", "corner up")
+        for view, hollow, motion, seed, speed in product(VIEWS, (True, False), motions, effort.seeds(50), SWINGS):
+            rng = np.random.default_rng((seed, round(10 * speed)))
+            drawn = in_space(rng, ring(rng, hollow), view, motion, speed)
+            drawn = noisy_depth(drawn, view, seed) if noise else drawn
+            yield {
+                "scenes": drawn,
+                "view": view,
+                "object": "ring" if hollow else "blob",
+                "motion": motion,
+                "depth": True,
+            }
+
+    return scenes
+
+
+def follow_hidden(scene: dict[str, Any]) -> Row:
+    """Track an outline of which a part is hidden or bent, and count what was claimed of its points."""
+    frames = seen_outline(scene["scenes"], scene["view"], scene["depth"])
+    return visible_row(frames, rows=scene["view"].height, object=scene["object"], motion=scene["motion"])
+
+
+def seen_outline(scenes: Iterable[FlatScene], view: View, with_depth: bool) -> Iterator[Row]:
+    """Track an outline with equal gaps in space where there is depth; yield the rows of ``tally_visible``."""
+    detector = ShapeDetector([Contour(spacing="m" if with_depth else "px")], on_invalid="interpolate")
+    name, start, count = 0, 0.0, 32
+    for scene in scenes:
+        depth, camera = (scene.depth, view.intrinsics) if with_depth else (None, None)
+        shape = detector.detect_mask(scene.mask, depth, camera).shapes[0]
+        if not name and shape.reason:
+            continue  # not begun yet
+        border = np.concatenate([scene.points[-1], scene.space[-1], scene.hidden[-1][:, None]], axis=1)
+        if not clockwise(border[:, :2]):
+            border = np.roll(border[::-1], 1, axis=0)
+        metric = border[:, 2:5] if with_depth else border[:, :2]
+        arc = arc_length(np.ascontiguousarray(np.concatenate([metric, metric[:1]])))
+        fine = FittedCurve(border, np.zeros(len(border), bool), arc, True).even(_FINE * count)
+        place = shape.pixels.astype(np.float64)
+        nearest = np.argmin(((place[:, None] - fine[:, :2]) ** 2).sum(axis=2), axis=1) / _FINE
+        if shape.track_id != name:  # a new track may begin elsewhere
+            turn = np.exp(2j * np.pi * (nearest - np.arange(count)) / count).mean()
+            name, start = shape.track_id, float(np.angle(turn)) * count / 2 / np.pi % count
+        off = np.abs((nearest - np.arange(count) - start + count / 2) % count - count / 2)
+        true = fine[np.rint((np.arange(count) + start) * _FINE).astype(int) % len(fine)]
+        points = shape.points3d if shape.points3d is not None else np.full((count, 3), np.nan)
+        mm = 1e3 * np.linalg.norm(points - true[:, 2:5], axis=1)
+        hidden, slipped = true[:, 5] > 0.5, bool((off[shape.visible] > SLIP).any())
+        errors = mm / 1e3 if with_depth else np.linalg.norm(place - true[:, :2], axis=1)
+        claimed = {"visible": shape.visible, "valid": shape.valid, "hidden": hidden, "track": name}
+        claimed["belief"] = belief(shape, errors, ~hidden, slipped)
+        yield Row(ok=shape.ok and not shape.reason, shown=scene.shown, off=off, mm=mm, **claimed)
+
+
+_COLD: Final[dict[str, Column]] = {
+    "outlines": len,
+    "order wrong": failures("ordered", "clockwise"),
+    "refused": failures("ok"),
+    "to the outline, mean [px]": of(mean, "distance"),
+    "worst [px]": of(worst, "distance"),
+    "gap CV, worst": of(worst, "gap_cv", lambda row: not row.coarse),
+    "too coarse": total("coarse"),
+    "gap CV, worst there": of(worst, "gap_cv", lambda row: row.coarse),
+    "corners missed, median [%]": lambda rows: _percent(median(chain(*(row.corners for row in rows)))),
+}
+_COLD_LIMITS: Final = (
+    Limit("order wrong", at_most=0),
+    Limit("refused", at_most=0),
+    Limit("to the outline, mean [px]", at_most=0.15, unit="px"),
+    Limit("worst [px]", at_most=0.3, unit="px"),
+    Limit("gap CV, worst", at_most=0.01),
+    Limit("gap CV, worst there", at_most=0.2),
+)
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100 * share
+
+
+CLAIMS: Final = (
+    Claim("outlines.cold", "Drawn blobs, cold, at N = 16, 32 and 64.",
+          drawn_blobs, cold_outline, ("kind", "n"), _COLD, limits=_COLD_LIMITS),
+    Claim("outlines.garments", "Annotated garments (`--garments FILE`), cold, at N = 16, 32 and 64.",
+          annotated, cold_outline, ("kind", "n"), _COLD, limits=_COLD_LIMITS),
+    Claim(
+        "outlines.turning", "Outlines that turn, wander and deform, tracked over 180 frames.",
+        lambda effort: product(effort.seeds(2), MOTIONS), follow_outline, ("motion",),
+        {"tracks": len, "disordered": total("disordered"), "slips": total("slips"), "refused": total("not_ok"),
+         "worst slip [gaps]": of(worst, "worst_slip"), "to the outline [px]": of(mean, "distance"),
+         "fit [ms]": of(median, "fit_ms")},
+        limits=(
+            Limit("disordered", at_most=0), Limit("slips", at_most=0), Limit("refused", at_most=0),
+            Limit("worst slip [gaps]", at_most=0.1, where={"motion": ("nearly round", "40 px a frame", "hole")}),
+            Limit("to the outline [px]", at_most=0.15, unit="px"),
+        ),
+    ),
+    Claim(
+        "outlines.rest", "Outlines at rest in masks of which a share of the border's pixels flips.",
+        resting, at_rest_in_noise, ("kind", "flipped"),
+        {"outlines": len, "refused": total("refused"), "rms [px]": of(mean, "rms"), "drift [px]": of(worst, "drift")},
+        limits=(
+            Limit("refused", at_most=0), Limit("drift [px]", at_most=0.7, unit="px"),
+            Limit("rms [px]", at_most=0.3, unit="px", where={"kind": "smooth"}),
+            Limit("rms [px]", at_most=0.6, unit="px"),
+        ),
+    ),
+    *(
+        Claim(f"outlines.hands.{name}", f"Rings and blobs over which a hand comes, stays and goes: {name}.",
+              under_hands(depth), follow_hidden, ("rows", "object", "motion"), VISIBLE, limits=VISIBLE_LIMITS)
+        for name, depth in (("mask", False), ("depth", True))
+    ),
+    *(
+        Claim(f"outlines.space.{name}", f"Rings and blobs that are tilted, or of which a side bends up: depth {name}.",
+              swung(noise), follow_hidden, ("rows", "object", "motion"), VISIBLE, limits=VISIBLE_LIMITS)
+        for name, noise in (("exact", False), ("noisy", True))
+    ),
+)  # fmt: skip

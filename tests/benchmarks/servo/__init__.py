@@ -1,1 +1,0 @@
-"""Compare features and laws of shape servoing on simulated objects."""
