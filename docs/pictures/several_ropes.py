@@ -10,7 +10,7 @@ from shape_obs import Centerline, Detection, ShapeDetector
 from shape_obs.drawing import draw_curve, draw_detection, draw_text, slot_colours
 from tests.benchmarks.scenes.moving_ropes import moving_ropes
 from tests.benchmarks.scenes.several_ropes import several_ropes
-from tests.benchmarks.several_rope_claims import detect_scene
+from tests.benchmarks.several import detect_scene
 
 N = 20
 FEW = 10  # points of the tracked ropes

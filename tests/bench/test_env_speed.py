@@ -12,8 +12,8 @@ pytest.importorskip("mujoco")
 
 from shape_obs.cli import main
 from tests.benchmarks import interleaved_timing
-from tests.benchmarks.env_physics import EPISODE
 from tests.benchmarks.env_speed import Runner, Stopwatch, rate, speed_targets
+from tests.benchmarks.envs import EPISODE
 from tests.benchmarks.interleaved_timing import Turn, opengl
 from tests.benchmarks.tables import Row
 

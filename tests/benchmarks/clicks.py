@@ -6,7 +6,7 @@ is large enough to be clicked, or the last click is used up.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Final
 
 import cv2
@@ -36,28 +36,6 @@ _MIDDLE: Final = 0.5  # of the largest distance from the border: how far in the 
 _WIDEST: Final = 12.0  # pixels from the border that are middle enough
 _COLOURFUL: Final = 60  # saturation from which hue means something
 _REACH: Final = 12  # of hues
-
-
-def click(scene: tuple[int, ObjectPhoto]) -> Iterator[Row]:
-    """Segment a photo with one, two and three clicks, the same first click for all methods.
-
-    Yields:
-        A row for each method and number of clicks, for its kind of object and for "all" kinds: ``iou`` with the true
-        mask; ``good`` if that is above 0.7; ``s``, the seconds it took.
-    """
-    number, photo = scene
-    start = first_click(np.random.default_rng(number), photo.mask)
-    for name, method in METHODS.items():
-        picks, nots = list[Pixel](), list[Pixel]()
-        found, ms = photo.mask, 0.0
-        for count in (1, 2, 3):
-            more = (start, True) if count == 1 else next_click(found, photo.mask)
-            if more is not None:
-                (picks if more[1] else nots).append(more[0])
-                found, ms = timed(lambda: method(photo.rgb, picks, nots))  # noqa: B023  called at once
-            iou = float(np.count_nonzero(found & photo.mask) / np.count_nonzero(found | photo.mask))
-            row = Row(method=name, clicks=count, iou=iou, good=iou > GOOD, s=ms / 1e3)
-            yield from (Row(row, kind=kind) for kind in ("all", photo.kind))
 
 
 def first_click(rng: np.random.Generator, mask: Mask) -> Pixel:
@@ -151,6 +129,31 @@ def _grab_cut(rgb: Image, picks: Pixels, nots: Pixels) -> Mask:
 METHODS: Final[dict[str, Callable[[Image, Pixels, Pixels], Mask]]] = {
     "ours": _ours, "one hue range": _one_range, "GrabCut": _grab_cut,
 }  # fmt: skip
+
+
+def click(
+    scene: tuple[int, ObjectPhoto], methods: Iterable[str] = ("ours", "one hue range", "GrabCut")
+) -> Iterator[Row]:
+    """Segment a photo with one, two and three clicks, the same first click for all methods.
+
+    Yields:
+        A row for each method and number of clicks, for its kind of object and for "all" kinds: ``iou`` with the true
+        mask; ``good`` if that is above 0.7; ``s``, the seconds it took.
+    """
+    number, photo = scene
+    start = first_click(np.random.default_rng(number), photo.mask)
+    for name in methods:
+        method = METHODS[name]
+        picks, nots = list[Pixel](), list[Pixel]()
+        found, ms = photo.mask, 0.0
+        for count in (1, 2, 3):
+            more = (start, True) if count == 1 else next_click(found, photo.mask)
+            if more is not None:
+                (picks if more[1] else nots).append(more[0])
+                found, ms = timed(lambda: method(photo.rgb, picks, nots))  # noqa: B023  called at once
+            iou = float(np.count_nonzero(found & photo.mask) / np.count_nonzero(found | photo.mask))
+            row = Row(method=name, clicks=count, iou=iou, good=iou > GOOD, s=ms / 1e3)
+            yield from (Row(row, kind=kind) for kind in ("all", photo.kind))
 
 
 def frame_costs(frames: int) -> Iterator[Row]:

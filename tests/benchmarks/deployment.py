@@ -234,6 +234,8 @@ def run_cell(port: int, state: State, max_age: float, folder: str, parent: Conne
 
     from shape_obs.wrappers import ShapeObservation
 
+    for name in SIGNALS:  # a job in the background inherits that they are ignored
+        signal.signal(getattr(signal, name), signal.SIG_DFL)
     os.dup2(output.fileno(), 1)
     output.close()
     arm, camera, fail = Arm(port), DrawnRope(), threading.Event()

@@ -11,10 +11,11 @@ import numpy as np
 
 from shape_obs.wrappers import ShapeObservation
 from tests.benchmarks import Clock, Env, Size
-from tests.benchmarks.env_physics import EPISODE, Actions, held_actions, make_env
+from tests.benchmarks.envs import EPISODE, held_actions, make_env
 from tests.benchmarks.interleaved_timing import CLOCKS, Method, Timing, Turn, median_ms, time_methods, timed
 from tests.benchmarks.tables import Row, at_least, at_most
 
+Actions = np.ndarray
 WARM_UP: Final = 10  # steps that are not counted
 NO_RENDERING, BARE, WRAPPED = "no_drawing", "bare", "wrapped"
 _TRAINING: Final = "84 x 84"

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
+from shape_obs.bench.scenes import resample as resample_by_step
 from shape_obs.configurations.base import Ends
 from shape_obs.geometry.outline import clockwise
 from shape_obs.geometry.polyline import arc_length, interpolate, resample
@@ -18,7 +19,6 @@ from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 from shape_obs.metrics import in_order, spacing_cv
 from shape_obs.shape import Shape
 from tests.benchmarks.claim import Limit
-from shape_obs.bench.scenes import resample as resample_by_step
 from tests.benchmarks.tables import Column, Row, of, percent, total, worst
 
 Array = npt.NDArray[np.float64]

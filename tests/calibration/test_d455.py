@@ -10,7 +10,7 @@ from shape_obs import TopView, find_markers
 from shape_obs.calibration import Board, BoardViews, fit_base, fit_intrinsics, marker_points
 from shape_obs_envs.sources import RealSenseSource, SoftwareD455
 from shape_obs_envs.sources.registration import RawImages
-from tests.benchmarks.marker_claims import board_images
+from tests.benchmarks.calibration import board_images
 from tests.benchmarks.scenes.tabletop import LAYOUT, marker_scene
 
 BOARD = Board()

@@ -22,7 +22,6 @@ from shape_obs.calibration import (
 )
 from shape_obs.markers import find_markers
 from shape_obs.recording import record
-from tests.benchmarks.marker_claims import touched
 from tests.benchmarks.scenes.tabletop import CAMERA, LAYOUT, MarkerScene, marker_scene
 
 PLACE = np.eye(4)
@@ -119,11 +118,6 @@ class TestMarkerPoints:
 
 
 class TestBase:
-    def test_simulated_touches_with_half_a_millimetre_of_noise(self):
-        result = touched(4)
-        assert result.rms_mm <= 1.0
-        assert result.table_rms_mm <= 0.5
-
     def test_from_a_recording_and_a_file(self, tmp_path, recording, touches, scene, capsys):
         write_touches(tmp_path / "touches.csv", touches)
         out = tmp_path / "extrinsics.json"

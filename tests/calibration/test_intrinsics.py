@@ -12,7 +12,7 @@ from drawn_frames import Frames, run
 from shape_obs import Intrinsics, SpecError
 from shape_obs.calibration import Board, BoardViews, IntrinsicsFit, fit_intrinsics
 from shape_obs.recording import record
-from tests.benchmarks.marker_claims import board_images
+from tests.benchmarks.calibration import board_images
 
 BOARD, VIEWED = Board(), Intrinsics(640, 480, 384.2, 385.1, 318.4, 243.7)
 

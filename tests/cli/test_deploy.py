@@ -48,9 +48,9 @@ def test_a_goal_is_recorded_and_deployed(run, tmp_path):
 @pytest.mark.nightly
 @pytest.mark.parametrize("occluder", [0.0, 0.3])
 def test_the_whole_real_path_keeps_its_promises_with_faults(occluder):
-    from tests.benchmarks import deploy_claims
+    from tests.benchmarks import deployment
 
-    report, seen = deploy_claims.run(6.0, {**deploy_claims.FAULTS, "occluder": occluder})
+    report, seen = deployment.run(6.0, {**deployment.FAULTS, "occluder": occluder})
     assert not report.failed
     assert report.held > 0
     assert seen.robot.affected.keys() >= {"drop", "freeze", "black"}

@@ -24,7 +24,7 @@ from tests.benchmarks.scenes.blobs import random_blob
 from tests.benchmarks.scenes.clouds import ring_cloud, rope_cloud, sheet_cloud
 from tests.benchmarks.scenes.sheets import random_sheet
 from tests.benchmarks.scores import outline_score, score
-from tests.benchmarks.surface_claims import score_sheet
+from tests.benchmarks.sheets import score_sheet
 
 NAMES = ("kmeans", "gmm", "fcm", "kohonen")
 ALL: tuple[Clusterer, ...] = (KMeans(), GaussianMixture(), FuzzyCMeans(), Kohonen())

@@ -7,7 +7,6 @@ import pytest
 
 from shape_obs import Centerline, ShapeDetector
 from shape_obs.bench.scenes import moving_rope
-from tests.benchmarks.rope_claims import bent_ropes, ropes_in_noise
 
 
 @pytest.mark.parametrize("speed", [10, 40])
@@ -37,22 +36,3 @@ def test_a_frame_that_shows_far_more_than_the_rope_is_refused_and_the_rope_found
     assert "times as many pixels as the rope" in detector.detect_mask(comb).shapes[0].reason
     for mask in masks[15:]:
         assert not detector.detect_mask(mask).shapes[0].reason
-
-
-def test_order_is_right_in_noise_on_ragged_masks_and_in_uneven_light():
-    results = list(ropes_in_noise(per_kind=4, seed=3))
-    assert {result.disturbance.split(",")[0] for result in results} == {"salt and pepper", "ragged edges", "light"}
-    for result in results:
-        assert result.ordered >= 0.95, result
-
-
-def test_the_curve_is_faithful_however_narrow_its_bends_and_long_the_rope():
-    rows = list(bent_ropes(per_kind=1, seed=2, radii=(1.5, 2), widths=(4, 10)))
-    assert {(row.detected, row.bend) for row in rows} >= {
-        ("cold", "coil"),
-        ("tracked", "loops"),
-        ("tracked", "bending"),
-    }
-    for row in rows:
-        assert row.refused == 0, row
-        assert row.least_within >= 0.99, row

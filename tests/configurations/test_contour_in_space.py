@@ -6,7 +6,7 @@ import numpy as np
 
 from shape_obs.configurations.contour import Contour
 from shape_obs.geometry.curve import FittedCurve
-from tests.benchmarks.contour_claims import seen_outline
+from tests.benchmarks.outlines import seen_outline
 from tests.benchmarks.scenes.flat_objects import View, in_space, noisy_depth, ring
 from tests.benchmarks.scores import tally_visible
 

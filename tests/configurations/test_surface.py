@@ -1,4 +1,4 @@
-"""Surfaces: lattices over sheets; `tests.benchmarks.surface_claims` measures the same on more of them."""
+"""Surfaces: lattices over sheets; `tests.benchmarks.sheets` measures the same on more of them."""
 
 from __future__ import annotations
 
@@ -15,16 +15,7 @@ from hypothesis import strategies as st
 from shape_obs import Intrinsics, ShapeDetector, SpecError, Surface
 from shape_obs.bench.scenes import Sheet, draw_sheet, flat_cloth
 from tests.benchmarks.scenes.sheets import random_sheet, rotation, true_lattice
-from tests.benchmarks.surface_claims import (
-    ASPECTS,
-    drawn_sheets,
-    first_corner,
-    moving_sheets,
-    noisy_sheets,
-    score_sheet,
-    sheet_table,
-    turning_sheets,
-)
+from tests.benchmarks.sheets import ASPECTS, first_corner, score_sheet
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "real"
 
@@ -41,46 +32,6 @@ def placed(points: np.ndarray, degrees: float = 0.0, scale: float = 1.0, size: t
 @pytest.fixture(scope="module")
 def towel() -> Sheet:
     return random_sheet(np.random.default_rng(4), 1.5, 20.0)
-
-
-@pytest.fixture(scope="module")
-def drawn():
-    return list(drawn_sheets(36, seed=3))
-
-
-class TestClaims:
-    def test_every_drawn_sheet_is_found(self, drawn):
-        assert len(drawn) == 36 * 5 * 2
-        assert {result.aspect for result in drawn} == set(ASPECTS)
-        assert [result for result in drawn if not result.ok] == []
-        assert np.median([result.quality for result in drawn]) > 0.9
-        assert min(result.quality for result in drawn) > 0.35
-
-    def test_every_point_has_its_true_index(self, drawn):
-        assert [result for result in drawn if not result.corner_right] == []
-        assert max(result.score.slip for result in drawn) <= 0.5
-
-    def test_points_lie_on_their_material(self, drawn):
-        assert max(result.score.mean for result in drawn) <= 3.0
-        assert float(np.mean([result.score.mean for result in drawn])) <= 1.5
-        assert {row["lattice"] for row in sheet_table(drawn)} == {"4x8", "2x2", "3x3", "8x8", "6x10"}
-
-    def test_a_full_turn_in_steps_of_a_degree(self):
-        (turn,) = turning_sheets([1])
-        assert turn.frames == 361
-        assert (turn.tracked_slips, turn.tracked_not_ok, turn.cold_wrong, turn.cold_not_ok) == (0, 0, 0, 0)
-        assert turn.worst_move <= 0.5
-        assert 4 <= turn.cold_undecided <= 20
-
-    def test_moving_sheets_keep_their_index(self):
-        for result in moving_sheets([12], [0, 3], frames=180):
-            assert (result.frames, result.slips, result.not_ok) == (180, 0, 0), result
-            assert result.mean_distance <= 3.0
-
-    def test_points_rest_under_a_noisy_mask(self):
-        for result in noisy_sheets([0, 3], frames=30):
-            assert result.not_ok == 0
-            assert result.mean <= 0.3
 
 
 class TestLattice:

@@ -17,9 +17,9 @@ IN_TIME = 0.5
 
 @pytest.fixture(scope="module")
 def stops():
-    from tests.benchmarks import stop_claims
+    from tests.benchmarks import deployment
 
-    return stop_claims
+    return deployment
 
 
 @pytest.fixture(scope="module")

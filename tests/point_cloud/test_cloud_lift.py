@@ -13,7 +13,6 @@ from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
 from shape_obs.point_cloud.cloud import Cloud
 from shape_obs.point_cloud.deprojection import deproject
-from tests.benchmarks import cloud_claims
 from tests.benchmarks.scenes.clouds import SheetCloud, sheet_cloud
 from tests.benchmarks.scenes.images import CAMERA, tilted_rope, tilted_sheet
 from tests.benchmarks.scenes.tangles import crossing_rope
@@ -25,46 +24,6 @@ def straight(count: int = 3000) -> np.ndarray:
     points = draw.normal(0, 0.004, (count, 3)) + (0, 0, 1)
     points[:, 0] = draw.uniform(-0.3, 0.3, count)
     return points
-
-
-class TestClaims:
-    """Samples of the measurement ``shape-obs bench claims``."""
-
-    def test_rope_clouds(self):
-        found = list(cloud_claims.rope_clouds(5))
-        assert all(result.ok and result.ordered for result in found)
-        assert np.mean([result.curve_mm for result in found]) < 1.5
-        assert max(result.curve_mm for result in found) < 3.0
-        assert np.mean([result.place_mm for result in found if result.n >= 20]) < 2.5
-        assert max(result.gap_cv for result in found) < 0.03
-        assert np.mean([result.valid for result in found]) > 0.9
-        assert {row["not_ok"] for row in cloud_claims.cloud_table(found)} == {0}
-
-    def test_ring_clouds(self):
-        found = list(cloud_claims.ring_clouds(6))
-        assert all(result.ok and result.ordered for result in found)
-        assert max(result.curve_mm for result in found) < 2.0
-        assert max(result.gap_cv for result in found) < 0.03
-
-    def test_sheet_clouds(self):
-        found = list(cloud_claims.sheet_clouds(6))
-        assert all(result.ok and result.ordered for result in found)
-        assert max(result.curve_mm for result in found) < 5.0
-        assert max(result.gap_cv for result in found) < 0.04
-
-    def test_a_moving_rope_is_tracked(self):
-        for result in cloud_claims.moving_rope_clouds([0.005, 0.015], [0], frames=60):
-            assert (result.flips, result.slips, result.not_ok) == (0, 0, 0)
-            assert result.mean_mm < 2.0
-
-    def test_a_cloud_under_a_tilted_mask_has_equal_gaps_in_metres(self):
-        rows = {(r["image"], r["way"]): r for r in cloud_claims.tilted_table(cloud_claims.tilted_images(5))}
-        for what in ("rope", "sheet"):
-            assert rows[what, "cloud"]["not_ok"] == 0
-            assert rows[what, "cloud"]["gap_cv_worst"] < 0.03
-            assert rows[what, "px"]["gap_cv_mean"] > 0.05
-            assert rows[what, "cloud"]["place_mean_mm"] < rows[what, "px"]["place_mean_mm"] / 2
-        assert rows["sheet", "cloud"]["place_worst_mm"] < 2.0
 
 
 class TestUnderAMask:

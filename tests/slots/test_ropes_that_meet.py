@@ -1,10 +1,12 @@
-"""Ropes that move over each other and into contact keep their slots; more with `bench claims --only several`."""
+"""Ropes that move over each other and into contact keep their slots; more with `python -m tests.benchmarks several`."""
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
-from tests.benchmarks.rope_identity_claims import rope_tracks
+from tests.benchmarks.scenes.moving_ropes import moving_ropes
+from tests.benchmarks.several import follow
 
 
 @pytest.mark.parametrize(
@@ -20,7 +22,7 @@ from tests.benchmarks.rope_identity_claims import rope_tracks
     ],
 )
 def test_tips_that_meet_are_not_exchanged(kind, seed, frames):
-    (row,) = rope_tracks([seed], kinds=[kind], frames=frames)
+    row = follow(moving_ropes(np.random.default_rng([seed, 3]), 3, frames, kind=kind), 3)
     assert row.swaps == 0
     assert row.flips == 0
     assert row.slips <= 0.02 * row.measured  # a few frames, not the same ones with each version of OpenCV

@@ -11,11 +11,11 @@ from shape_obs.frame import depth_images
 from shape_obs.geometry.topology import Grid
 from shape_obs.tracking.hidden_border import rim_depth
 from shape_obs.tracking.validation import FOLDED, validate_gaps
-from tests.benchmarks.contour_claims import seen_outline
+from tests.benchmarks.outlines import seen_outline
 from tests.benchmarks.scenes.flat_objects import View, cloth, in_space, ring, under_hand
 from tests.benchmarks.scenes.images import CAMERA, tilted_sheet
 from tests.benchmarks.scores import tally_visible
-from tests.benchmarks.surface_claims import seen_points
+from tests.benchmarks.sheets import seen_points
 
 VIEW = View()
 

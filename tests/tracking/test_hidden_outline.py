@@ -11,7 +11,7 @@ from shape_obs.bench.scenes import moving_blob
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import nearest_on
 from shape_obs.tracking.hidden_outline import complete_outline, hidden_pieces, laid_along, nearest_places
-from tests.benchmarks.contour_claims import MOTIONS, seen_outline
+from tests.benchmarks.outlines import MOTIONS, seen_outline
 from tests.benchmarks.scenes.flat_objects import View, ring, under_hand
 from tests.benchmarks.scores import tally_visible
 

@@ -6,41 +6,9 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, ShapeDetector
-from tests.benchmarks.motion_claims import track
-from tests.benchmarks.rope_claims import ropes_under_hands
+from tests.benchmarks.hidden import track
 from tests.benchmarks.scenes.hidden_ropes import Cover, hidden_rope, hidden_ropes
 from tests.benchmarks.tables import Row
-
-
-@pytest.fixture(scope="module")
-def under_hands():
-    return list(ropes_under_hands(seeds=(50,), speeds=(10,)))
-
-
-def test_both_ends_are_hidden_by_10_and_25_percent_at_once_and_slowly(under_hands):
-    assert len(under_hands) == 8
-    assert {(r.where, r.share, r.creep > 0) for r in under_hands} == {
-        (where, share, slowly) for where in ("start", "end") for share in (0.1, 0.25) for slowly in (False, True)
-    }
-    assert all(result.frames == 180 for result in under_hands)
-
-
-def test_visible_points_never_slip_under_a_hand(under_hands):
-    for result in under_hands:
-        assert (result.slips, result.lost) == (0, 0), result
-        assert result.worst_slip < 0.5
-
-
-def test_hidden_points_are_flagged(under_hands):
-    for result in under_hands:
-        assert result.called_hidden <= 0.005, result
-        assert result.called_visible == 0, result
-
-
-def test_a_hand_over_the_middle_keeps_both_ends_on_their_material():
-    # What is put into the gap for 108 frames comes from what was put there before.
-    results = list(ropes_under_hands(seeds=(1, 2), speeds=(4,), shares=(0.25,), places=("middle",)))
-    assert [(r.slips, r.lost) for r in results] == [(0, 0)] * 4
 
 
 def test_the_hidden_end_is_not_stretched_over_the_rest():

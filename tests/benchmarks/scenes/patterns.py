@@ -94,7 +94,7 @@ def _text(rng: np.random.Generator, size: Size, scale: float) -> Mask:
     for baseline in range(round(24 * scale), size[1], round(26 * scale)):
         words = "".join(chr(letter) for letter in rng.integers(33, 126, round(size[0] / (16 * scale))))
         cv2.putText(canvas, words, (0, baseline), cv2.FONT_HERSHEY_SIMPLEX, scale, (255,), max(round(2 * scale), 1))
-    return canvas
+    return _mask(canvas > 127)  # newer versions of OpenCV draw soft edges
 
 
 def _pierced(rng: np.random.Generator, size: Size, share: float, furry: bool) -> Mask:

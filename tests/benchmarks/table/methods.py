@@ -27,7 +27,7 @@ from shape_obs.metrics import calinski_harabasz, nearest, silhouette, spacing_cv
 from tests.benchmarks import Clock
 from tests.benchmarks.interleaved_timing import CLOCKS, timed
 from tests.benchmarks.scores import SLIP, outline_score, score
-from tests.benchmarks.surface_claims import score_sheet
+from tests.benchmarks.sheets import score_sheet
 from tests.benchmarks.table.frames import CONFIGURATIONS, Name, Scene
 from tests.benchmarks.tables import Row
 

@@ -57,13 +57,10 @@ def test_the_rope_with_the_goal_is_in_slot_0():
 @pytest.mark.nightly
 @pytest.mark.parametrize("rope", [0, 1])
 def test_the_servo_moves_only_the_gripper_of_the_named_rope(rope):
-    from tests.benchmarks.servo.episode import play
-    from tests.benchmarks.servo.settings import Setting
-    from tests.benchmarks.servo.worlds import World
+    from tests.benchmarks.servo import Setting, World, play
 
     setting = Setting("Cables", "middle", "truth", "160x120", "points3d", "rls", rope=rope)
     world = World(setting)
-    assert setting.name.endswith("-rope" + str(rope))
     assert list(world.coordinates or ()) == [3 * rope, 3 * rope + 1, 3 * rope + 2]
     taken = []
     space: Any = world.env.action_space
