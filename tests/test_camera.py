@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shape_obs import CameraModel, Intrinsics, SpecError
+from shape_obs.camera import DepthNoise
 
 MODELS = ("pinhole", "brown_conrady", "inverse_brown_conrady")
 # a real D455 at 1280 x 800, the magnitudes of librealsense's and of wider lenses
@@ -199,3 +200,13 @@ def test_numpy_values_and_lists_make_the_same_intrinsics():
     assert type(camera.fx) is float
     with pytest.raises(SpecError, match="Intrinsics: unknown field 'ppx'"):
         Intrinsics.from_dict({**D455, "ppx": 1})
+
+
+def test_the_noise_of_stereo_depth_grows_with_the_square_of_the_depth():
+    # 0.08 px of disparity, a focal length of 386 px and a baseline of 95 mm: 0.55 mm at 0.5 m, 4.91 mm at 1.5 m.
+    np.testing.assert_allclose(DepthNoise().sigma([0.5, 1.5], focal=386.0), [5.454e-4, 4.9087e-3], rtol=1e-3)
+    for arguments in ({"disparity": -0.1}, {"baseline": 0.0}, {"baseline": np.inf}):
+        with pytest.raises(ValueError, match="DepthNoise"):
+            DepthNoise(**arguments)
+    with pytest.raises(ValueError, match="focal"):
+        DepthNoise().sigma(1.0, focal=0.0)

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import Intrinsics
+from shape_obs.camera import DepthNoise, Intrinsics
 from shape_obs.compiled import compiled
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 
@@ -57,9 +57,9 @@ _HIDDEN_SHARE: Final = 0.32
 # A shape that is not seen is expected to move by this share of the bound in a second: 0.25 m/s, or a quarter of the
 # diagonal; a hand that carries an object moves so.
 _DRIFT: Final = 0.25
-# Noise of stereo depth, z^2 s / (f B), of a RealSense D455: subpixel error s of a disparity, and baseline B.
-_DISPARITY_NOISE: Final = 0.08  # pixels
-_BASELINE: Final = 0.095  # metres
+# Noise of stereo depth, see ``DepthNoise``, of a RealSense D455.
+_DISPARITY_NOISE: Final = DepthNoise.disparity
+_BASELINE: Final = DepthNoise.baseline
 _NATIVE: Final = 640  # columns; an image with fewer is one of this width that was made smaller
 _NO_PIXELS: Final = np.zeros((0, 2), np.float32)
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, Final
 
+from shape_obs.camera import DepthNoise
 from shape_obs.spec import Spec, SpecError
 
 _UNBOUNDED: Final = math.inf
@@ -92,8 +93,8 @@ class D455Model(Spec):
     focal: float = 386.0
     width: int = 640
     height: int = 480
-    baseline: float = 0.095
-    subpixel: float = 0.08
+    baseline: float = DepthNoise.baseline
+    subpixel: float = DepthNoise.disparity
     correlation: float = 2.0
     disparity_step: float = 1 / 32
     left_band: bool = True
@@ -135,8 +136,8 @@ class D455Model(Spec):
         return rows / self.height
 
     def sigma(self, z: float) -> float:
-        """Return the standard deviation of depth in metres at depth z, before any rounding: z^2 s / (f B)."""
-        return z * z * self.subpixel / self.disparity_at_one_metre
+        """Return the standard deviation of depth in metres at depth z, before any rounding, see ``DepthNoise``."""
+        return float(DepthNoise(self.subpixel, self.baseline).sigma(z, self.focal))
 
     def depth_step(self, z: float) -> float:
         """Return the distance in metres of neighbouring depths at depth z: z^2 / (32 f B) with the default step."""
