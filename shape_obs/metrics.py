@@ -116,7 +116,7 @@ def spacing_cv(points: npt.ArrayLike, layout: Topology, valid: npt.NDArray[np.bo
 def distance(points: npt.ArrayLike, curve: npt.ArrayLike, *, closed: bool = False) -> Array:
     """Return the exact distances ``(N,)`` of ``(N, D)`` points to a polyline ``(P, D)``, closed if ``closed``."""
     line = np.asarray(curve, dtype=np.float64)
-    return nearest_on(np.concatenate([line, line[:1]]) if closed else line, np.asarray(points, dtype=np.float64))[1]
+    return nearest_on(np.concatenate([line, line[:1]]) if closed else line, np.asarray(points))[1]
 
 
 def coverage(points: npt.ArrayLike, layout: Topology, pixels: npt.ArrayLike, reach: float) -> float:

@@ -12,6 +12,8 @@ import numpy.typing as npt
 from shape_obs.camera import Intrinsics
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import depth_in_metres
+from shape_obs.geometry.observed import MAD_SIGMA
+from shape_obs.geometry.rotation import fit
 
 Array = npt.NDArray[np.float64]
 
@@ -25,7 +27,6 @@ _INSIDE: Final = 0.85  # part of the marker whose depth is used, so that none ne
 _ENOUGH: Final = 0.3  # smallest share of these pixels with depth
 _LEAST: Final = 12  # smallest number of these pixels
 _STRAY: Final = 3.0  # robust standard deviations from the marker's plane beyond which a pixel is ignored
-_NORMAL: Final = 1.4826  # ratio of standard deviation to median absolute deviation
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +66,6 @@ def fit_base(
 
     Raises:
         ValueError: There are fewer than 4 points, all points lie on a line, or some are not finite.
-
-    References:
-        W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta Crystallographica A32, 1976.
     """
     seen, touched = np.asarray(points_camera, np.float64), np.asarray(points_base, np.float64)
     if seen.ndim != 2 or seen.shape[1:] != (3,) or seen.shape != touched.shape:
@@ -83,29 +81,13 @@ def fit_base(
                 f"the {name} lie within {1000 * across:.0f} mm of one line, which leaves the rotation about it "
                 "undetermined: touch corners of markers all around the table."
             )
-    transform = _rigid(seen, touched)
-    residuals = _off(transform, seen, touched)
+    transform = fit(seen, touched)
+    residuals = np.linalg.norm(transform.apply(seen) - touched, axis=1)
     rms = float(np.sqrt(np.mean(residuals**2)))
     extrinsics = Extrinsics.from_dict(
-        {"T": transform, "intrinsics": intrinsics, "serial": serial, "rms": rms, "max_age_days": max_age_days}
+        {"T": transform.matrix, "intrinsics": intrinsics, "serial": serial, "rms": rms, "max_age_days": max_age_days}
     )
     return BaseFit(extrinsics, residuals, rms, *_suspect(seen, touched))
-
-
-def _rigid(seen: Array, touched: Array) -> Array:
-    """Return the rigid transform ``(4, 4)`` from one set of points to the other."""
-    middle, target = seen.mean(axis=0), touched.mean(axis=0)
-    left, _, right = np.linalg.svd((touched - target).T @ (seen - middle))
-    proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    transform = np.eye(4)
-    transform[:3, :3] = left @ proper @ right
-    transform[:3, 3] = target - transform[:3, :3] @ middle
-    return transform
-
-
-def _off(transform: Array, seen: Array, touched: Array) -> Array:
-    off = seen @ transform[:3, :3].T + transform[:3, 3] - touched
-    return np.asarray(np.linalg.norm(off, axis=1), np.float64)
 
 
 def _suspect(seen: Array, touched: Array) -> tuple[int | None, float]:
@@ -115,7 +97,7 @@ def _suspect(seen: Array, touched: Array) -> tuple[int | None, float]:
     tried = []
     for i in range(len(seen)):
         others = np.arange(len(seen)) != i
-        off = _off(_rigid(seen[others], touched[others]), seen, touched)
+        off = np.linalg.norm(fit(seen[others], touched[others]).apply(seen) - touched, axis=1)
         tried.append((float(np.sqrt(np.mean(off[others] ** 2))), float(off[i]), i))
     rms, off, i = min(tried)
     return (i, off) if off > max(_OUTLYING * rms, _OUTLYING_METRES) else (None, 0.0)
@@ -176,5 +158,5 @@ def _plane(corners: Array, depth: npt.NDArray[Any]) -> Array | None:
     for _ in range(3):
         plane = np.linalg.lstsq(at[kept], inverse[kept], rcond=None)[0]
         off = np.abs(at @ plane - inverse)
-        kept = off <= _STRAY * _NORMAL * max(float(np.median(off)), 1e-6)
+        kept = off <= _STRAY * MAD_SIGMA * max(float(np.median(off)), 1e-6)
     return np.asarray(plane, np.float64)

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from shape_obs.calibration.board import Board, BoardView
 from shape_obs.camera import Intrinsics
 from shape_obs.extrinsics import now
+from shape_obs.geometry.rotation import best_rotation
 from shape_obs.spec import Spec, SpecError
 from shape_obs.utils.documents import read_json
 from shape_obs.utils.files import write_text
@@ -166,9 +167,8 @@ def _doubts(rms: float, deviation: float, apart: float | None, factory_rms: floa
 def _apart(one: Intrinsics, other: Intrinsics, pixels: Array) -> float:
     """Return the rms difference in pixels between the rays of two intrinsics, after the best rotation."""
     first, second = (_unit(each.rays(pixels)) for each in (one, other))
-    left, _, right = np.linalg.svd(first.T @ second)
-    turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-    return float(np.sqrt(np.mean(np.sum((first - second @ turn.T) ** 2, axis=1))) * one.fx)
+    off = first - second @ best_rotation(second.T @ first)
+    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))) * one.fx)
 
 
 def _unit(rays: Array) -> Array:

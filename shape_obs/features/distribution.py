@@ -1,4 +1,4 @@
-"""A model of recorded shapes: their mean and principal components, and its file."""
+"""A model of recorded shapes: their alignment, their mean and principal components, and its file."""
 
 from __future__ import annotations
 
@@ -7,20 +7,24 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Any, Final, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.features.alignment import Similarity, superimposed
 from shape_obs.features.basis import Design
 from shape_obs.features.coordinates import CoordinateFrame, Coordinates
+from shape_obs.geometry.rotation import fit
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 from shape_obs.utils.arrays import decode_npz
 from shape_obs.utils.documents import parse_json
 from shape_obs.utils.files import make_folder, write_whole
 
 Array = npt.NDArray[np.float64]
+
+_ALIGNMENTS: Final = 200  # rounds of a superposition, at most
+_CONVERGED: Final = 1e-12
+_UNLIKE: Final = 0.05  # smallest scale of an aligned shape; below it the heading is arbitrary
 
 FORMAT: Final = "shape_obs point distribution"
 VERSION: Final = 1
@@ -33,6 +37,88 @@ _FLOOR: Final = 1e-6  # smallest noise of the points, as a share of the last com
 #: Residuals of neighbouring points are correlated: this many of them count as one (g in the formula).
 _CORRELATED: Final = 10.0
 _ROUNDS: Final = 3  # Gauss-Newton steps; for complete shapes the first is exact
+
+
+class Similarity(NamedTuple):
+    """Represent ``p = shift + turn * q`` with the first two coordinates as a complex number.
+
+    The third coordinate is only shifted and scaled.
+
+    Args:
+        shift: The translation, of shape ``(2,)`` or ``(3,)``.
+        turn: The scale times exp(i angle).
+    """
+
+    shift: Array
+    turn: complex
+
+    @classmethod
+    def of(cls, points: Array, mean: Array, weight: Array) -> Similarity:
+        """Return the transform that brings the mean shape closest to the points, by weighted least squares.
+
+        Source: T. F. Cootes et al., "Active Shape Models: Their Training and Application", Computer Vision and Image
+        Understanding 61(1), 1995, appendix A.
+
+        Args:
+            points: ``(N, D)`` points; only the first two coordinates are fitted.
+            mean: ``(N, D)`` mean shape.
+            weight: ``(N,)`` weights.
+        """
+        fitted = fit(mean[:, :2], points[:, :2], weight, scaled=True)
+        turn = fitted.scale * complex(*fitted.rotation[:, 0])
+        return cls((weight @ points - _turned(weight @ mean, turn)) / weight.sum(), turn)
+
+    def apply(self, points: Array) -> Array:
+        """Transform points ``(N, D)`` of the mean shape."""
+        return self.shift + _turned(points, self.turn)
+
+    def undo(self, points: Array) -> Array:
+        """Apply the inverse transform to points ``(N, D)``; the result is not finite if the scale is zero."""
+        return _turned(points - self.shift, 1 / self.turn if self.turn else complex(np.nan))
+
+
+def superimposed(points: Array) -> Array:
+    """Remove position, heading and size from shapes by generalised Procrustes analysis: ``(F, N, D)`` -> ``(F, N, D)``.
+
+    Each shape is transformed to the mean by its best similarity, which gives the next mean. The mean has the root mean
+    square size of the shapes and their mean heading. Source: J. C. Gower, "Generalized Procrustes analysis",
+    Psychometrika 40(1), 1975.
+
+    Raises:
+        ValueError: A shape differs so much from the others that its heading is arbitrary.
+    """
+    centred = points - points.mean(axis=1, keepdims=True)
+    plane = centred[..., 0] + 1j * centred[..., 1]
+    size = np.sqrt(np.mean(np.sum(np.abs(plane) ** 2, axis=1)))
+    mean = plane[0]
+    turn = np.ones(len(plane), complex)
+    for _ in range(_ALIGNMENTS):
+        mean = mean * (size / np.linalg.norm(mean))
+        turn = plane @ mean.conj() / size**2
+        unlike = np.flatnonzero(np.abs(turn) < _UNLIKE)
+        if unlike.size:
+            raise ValueError(
+                f"shape {unlike[0]} of {len(points)} is too unlike the others to be aligned: leave it out, "
+                "or fit without alignment."
+            )
+        before, mean = mean, (plane / turn[:, None]).mean(axis=0)
+        if np.linalg.norm(mean - before) < _CONVERGED * size:
+            break
+    # Up to here the heading is that of the first shape.
+    heading = turn.sum() / abs(turn.sum()) if abs(turn.sum()) > _UNLIKE else 1.0
+    flat = plane / turn[:, None] * heading
+    return np.stack(
+        [flat.real, flat.imag, *np.moveaxis(centred[..., 2:] / np.abs(turn)[:, None, None], -1, 0)], axis=-1
+    )
+
+
+def _turned(points: Array, turn: complex) -> Array:
+    """Rotate and scale points ``(..., D)``."""
+    out = points * abs(turn)
+    x, y = points[..., 0], points[..., 1]
+    out[..., 0] = turn.real * x - turn.imag * y
+    out[..., 1] = turn.imag * x + turn.real * y
+    return out
 
 
 @dataclass(frozen=True, eq=False)

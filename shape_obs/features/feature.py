@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 from shape_obs.camera import CameraModel
 from shape_obs.configurations.base import Configuration
-from shape_obs.features.feature_check import check_bounds, check_values
 from shape_obs.geometry.topology import Topology
 from shape_obs.image.segmentation import DepthRange
 from shape_obs.shape import Shape
@@ -24,6 +23,10 @@ Flags = npt.NDArray[np.bool_]
 
 #: Share of its range by which a value may exceed its bounds without a warning: noise does, a wrong workspace is larger.
 _NOISE_MARGIN: Final = 0.02
+
+Vector = npt.NDArray[Any]
+
+_NUMBERS: Final = "fiub"  # kinds of dtype: float, whole numbers, bool
 
 
 @dataclass(frozen=True)
@@ -270,3 +273,51 @@ class FeatureVector:
         known = {shape.name: shape for shape in shapes}
         parts = [block.feature.measured(known[block.shape], len(block.units)) for block in self.blocks]
         return np.concatenate(parts)
+
+
+def check_bounds(bounds: Any, what: str) -> tuple[Vector, Vector]:
+    """Return the bounds of a feature, lowest and highest values.
+
+    Args:
+        bounds: What ``Feature.bounds`` returned.
+        what: The feature and its shape, for error messages.
+
+    Raises:
+        TypeError: They are no pair of arrays of numbers.
+        ValueError: They are not of one shape ``(D,)``, not finite, or not low < high.
+    """
+    if not isinstance(bounds, (tuple, list)) or len(bounds) != 2:
+        raise TypeError(f"{what}: bounds() must return (low, high), got {bounds!r:.100}.")
+    low, high = bounds
+    for name, values in (("low", low), ("high", high)):
+        if not isinstance(values, np.ndarray) or values.dtype.kind not in _NUMBERS:
+            raise TypeError(f"{what}: bounds() must return numpy arrays of numbers, got {name} = {_described(values)}.")
+    if low.ndim != 1 or low.shape != high.shape or not low.size:
+        raise ValueError(
+            f"{what}: bounds() must return two arrays of one shape (D,), got {low.shape} and {high.shape}."
+        )
+    for k in np.flatnonzero(~(np.isfinite(low) & np.isfinite(high) & (low < high)))[:1].tolist():
+        raise ValueError(f"{what}: bounds must be finite and low < high, got {low[k]:g} and {high[k]:g} for value {k}.")
+    return low, high
+
+
+def check_values(values: Any, size: int, what: str) -> None:
+    """Refuse what ``Feature.compute`` returned unless it is an array of ``size`` numbers; they may be NaN.
+
+    Args:
+        values: The values.
+        size: How many bounds the feature has.
+        what: The feature and its shape, for error messages.
+
+    Raises:
+        TypeError: They are no array of numbers.
+        ValueError: They have another shape than the bounds.
+    """
+    if not isinstance(values, np.ndarray) or values.dtype.kind not in _NUMBERS:
+        raise TypeError(f"{what}: compute() must return a numpy array of numbers, got {_described(values)}.")
+    if values.shape != (size,):
+        raise ValueError(f"{what}: compute() must return shape ({size},), as its bounds have, got {values.shape}.")
+
+
+def _described(value: Any) -> str:
+    return f"an array of {value.dtype}" if isinstance(value, np.ndarray) else f"{value!r:.60} ({type(value).__name__})"

@@ -210,19 +210,6 @@ def transposed(lattice: Array) -> Array:
 
 
 @compiled("(f8[:,:,::1],)")
-def outer_corners(nodes: Array) -> Array:
-    """Return the corners ``(4, D)`` of a sheet, clockwise, whose pieces have their centres at ``(R, C, D)`` nodes."""
-    rows, cols, dimension = nodes.shape
-    out = np.empty((4, dimension))
-    for k in range(4):
-        r, c = rows - 1 if k >= 2 else 0, cols - 1 if k in (1, 2) else 0
-        next_r, next_c = r - 1 if r else 1, c - 1 if c else 1
-        for d in range(dimension):
-            out[k, d] = 2 * nodes[r, c, d] - (nodes[r, next_c, d] + nodes[next_r, c, d]) / 2
-    return out
-
-
-@compiled("(f8[:,:,::1],)")
 def assess_lattice(lattice: Array) -> tuple[float, float, float, float]:
     """Return how much a lattice looks like a sheet.
 

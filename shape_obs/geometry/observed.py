@@ -14,6 +14,7 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 MIN_SAMPLES: Final = 16  # pixels or points: with fewer there is no object
+MAD_SIGMA: Final = 1.4826  # standard deviation of normally distributed values, in median absolute deviations
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,6 @@ _EQUAL: Final = 2e-3
 MAX_SHIFT: Final = 0.35
 # Around an outline with many corners, each of which shortens a chord, equal chords need more room.
 MAX_SHIFT_AROUND: Final = 1.5
-_COMPLEX = np.array([1, 1j])
-_BLOCK: Final = 250_000  # pairs of a point and a piece of a polyline in one pass: 4 MB in the plane
 
 
 @compiled("(f8[:,::1],)")
@@ -235,51 +233,53 @@ def equal_chords(
     return interpolate(points, arc, along), at
 
 
-def laid_over(pattern: Array, found: Array, points: Array, *, scaled: bool) -> tuple[Array, float]:
-    """Return points moved as a pattern moves best onto what was found, and the scale.
+def nearest_on(curve: Array, points: Array) -> tuple[Array, Array]:
+    """Return where a polyline is nearest to each point: ``(P, D)``, ``(N, D)`` -> arc positions, distances ``(N,)``.
+
+    Both are NaN for a point that is not finite, and for all points if the polyline is not.
+
+    Raises:
+        ValueError: The polyline has fewer than two points.
+    """
+    curve, points = (np.ascontiguousarray(each, dtype=np.float64) for each in (curve, points))
+    if len(curve) < 2:
+        raise ValueError(f"curve: expected at least two points, got {len(curve)}.")
+    return _nearest_on(curve, arc_length(curve), points)
+
+
+@compiled("(f8[:,::1], f8[::1], f8[:,::1])")
+def _nearest_on(curve: Array, arc: Array, points: Array) -> tuple[Array, Array]:
+    at, distance = np.full(len(points), np.nan), np.full(len(points), np.nan)
+    for n in range(len(points) if np.isfinite(arc[-1]) else 0):
+        square, p, share = nearest_piece(curve, points[n], 0, len(curve) - 1)
+        if square < np.inf:
+            at[n], distance[n] = arc[p] + share * (arc[p + 1] - arc[p]), np.sqrt(square)
+    return at, distance
+
+
+@compiled
+def nearest_piece(curve: Array, point: Array, first: int, stop: int) -> tuple[float, int, float]:
+    """Return how near some pieces of a polyline come to a point.
 
     Args:
-        pattern: ``(M, D)``.
-        found: ``(M, D)`` where its points are.
-        points: ``(P, D)`` to be moved in the same way.
-        scaled: Whether they may be scaled, in addition to a proper rotation and a shift.
+        curve: ``(P, D)``.
+        point: ``(D,)``.
+        first: The first of the pieces; piece p begins at point p of the curve.
+        stop: The piece after the last.
 
-    References:
-        S. Umeyama, "Least-Squares Estimation of Transformation Parameters Between Two Point Patterns", 1991.
+    Returns:
+        The squared distance, inf without pieces; the nearest piece; the share of this piece before the nearest place.
     """
-    middle, centre = pattern.mean(axis=0), found.mean(axis=0)
-    before, after = pattern - middle, found - centre
-    square = max(float(np.vdot(before, before)), 1e-18)
-    if pattern.shape[1] == 2:
-        turn = np.vdot(before @ _COMPLEX, after @ _COMPLEX)
-        scale = abs(turn) / square if scaled else 1.0
-        turn *= scale / max(abs(turn), 1e-18)
-        moved = np.array([[turn.real, turn.imag], [-turn.imag, turn.real]])
-        return (points - middle) @ moved + centre, scale
-    left, values, right = np.linalg.svd(before.T @ after)
-    signs = np.ones(len(values))
-    signs[-1] = np.sign(np.linalg.det(left) * np.linalg.det(right)) or 1.0
-    scale = float(values @ signs) / square if scaled else 1.0
-    return scale * (points - middle) @ (left * signs) @ right + centre, scale
-
-
-def nearest_on(curve: Array, points: Array) -> tuple[Array, Array]:
-    """Return where a polyline is nearest to each point: ``(P, D)``, ``(N, D)`` -> arc positions, distances ``(N,)``."""
-    curve = np.ascontiguousarray(curve, dtype=np.float64)
-    start, side = curve[:-1], np.diff(curve, axis=0)
-    square = np.einsum("pd,pd->p", side, side)
-    length = np.sqrt(square)
-    begins = arc_length(curve)[:-1]
-    arc, distance = np.empty(len(points)), np.empty(len(points))
-    rows = max(_BLOCK // len(start), 1)
-    for first in range(0, len(points), rows):
-        block = slice(first, first + rows)
-        away = points[block, None, :] - start
-        share = np.clip(np.einsum("npd,pd->np", away, side) / np.maximum(square, 1e-300), 0.0, 1.0)
-        away -= share[..., None] * side
-        off = np.einsum("npd,npd->np", away, away)
-        best = np.argmin(off, axis=1)
-        row = np.arange(len(best))
-        arc[block] = begins[best] + share[row, best] * length[best]
-        distance[block] = np.sqrt(off[row, best])
-    return arc, distance
+    best, nearest, where = np.inf, first, 0.0
+    for p in range(first, stop):
+        along = length = off = 0.0
+        for d in range(len(point)):
+            side = curve[p + 1, d] - curve[p, d]
+            along += (point[d] - curve[p, d]) * side
+            length += side * side
+        share = min(max(along / max(length, 1e-300), 0.0), 1.0)
+        for d in range(len(point)):
+            off += (point[d] - curve[p, d] - share * (curve[p + 1, d] - curve[p, d])) ** 2
+        if off < best:
+            best, nearest, where = off, p, share
+    return best, nearest, where

@@ -1,9 +1,12 @@
-"""The best rotation of one set of points in space onto another, from their covariance."""
+"""Rigid and similarity transforms that lay one set of points over another, by least squares.
+
+``fit`` is for Python, in any dimension; the compiled functions below it do parts of the same in inner loops.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +18,67 @@ Array = npt.NDArray[np.float64]
 _SWEEPS: Final = 12
 _PARALLEL: Final = 1e-14  # cosine: columns that lie so close to a right angle are orthogonal
 _RANK: Final = 1e-12  # of the largest singular value: less is none
+_COMPLEX: Final = np.array([1, 1j])
+
+
+class Transform(NamedTuple):
+    """A similarity transform: ``p = scale * rotation @ q + shift``; it is rigid if the scale is 1.
+
+    Args:
+        rotation: ``(D, D)`` proper rotation.
+        shift: ``(D,)``.
+        scale: The scale.
+    """
+
+    rotation: Array
+    shift: Array
+    scale: float
+
+    def apply(self, points: Array) -> Array:
+        """Transform points ``(..., D)``."""
+        return self.scale * points @ self.rotation.T + self.shift
+
+    @property
+    def matrix(self) -> Array:
+        """The homogeneous transform ``(D + 1, D + 1)``."""
+        size = len(self.shift)
+        matrix = np.eye(size + 1)
+        matrix[:size, :size], matrix[:size, size] = self.scale * self.rotation, self.shift
+        return matrix
+
+
+def fit(before: Array, after: Array, weight: Array | None = None, *, scaled: bool = False) -> Transform:
+    """Return the transform that minimises the weighted squares of ``after - T before``.
+
+    In the plane, with the points as complex numbers relative to their means, ``scale * exp(i angle)`` is
+    ``sum w conj(b) a / sum w |b|^2``; otherwise the rotation follows from the singular vectors of the covariance.
+
+    Args:
+        before: ``(N, D)``.
+        after: ``(N, D)`` where these points are.
+        weight: ``(N,)``, not all 0; None if all count alike.
+        scaled: Whether the scale is fitted too; else it is 1.
+
+    References:
+        S. Umeyama, "Least-Squares Estimation of Transformation Parameters Between Two Point Patterns", 1991.
+    """
+    share = np.full(len(before), 1 / len(before)) if weight is None else weight / weight.sum()
+    middle, target = share @ before, share @ after
+    before, after = before - middle, after - target
+    weighted = share[:, None] * before
+    square = max(float(np.vdot(weighted, before)), 1e-18)
+    if before.shape[1] == 2:
+        product = np.vdot(weighted @ _COMPLEX, after @ _COMPLEX)
+        trace = abs(product)
+        turn = product / trace if trace > 0 else 1.0 + 0.0j
+        rotation = np.array([[turn.real, -turn.imag], [turn.imag, turn.real]])
+    else:
+        left, values, right = np.linalg.svd(after.T @ weighted)
+        signs = np.ones(len(values))
+        signs[-1] = np.sign(np.linalg.det(left) * np.linalg.det(right)) or 1.0
+        rotation, trace = (left * signs) @ right, values @ signs
+    scale = float(trace) / square if scaled else 1.0
+    return Transform(rotation, target - scale * rotation @ middle, scale)
 
 
 @compiled("(f8[:,::1],)")

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages
 from shape_obs.geometry.crossings import Crossing
+from shape_obs.geometry.polyline import arc_length, nearest_piece
 from shape_obs.image.connected_runs import nearest_pixel
 
 Array = npt.NDArray[np.float64]
@@ -108,17 +109,9 @@ def _place(curve: Array, arc: Array, along: float) -> tuple[float, float]:
 
 
 @compiled
-def _arc(curve: Array) -> Array:
-    arc = np.zeros(len(curve))
-    for p in range(1, len(curve)):
-        arc[p] = arc[p - 1] + np.hypot(curve[p, 0] - curve[p - 1, 0], curve[p, 1] - curve[p - 1, 1])
-    return arc
-
-
-@compiled
 def _heading(curve: Array, share: float, width: float, out: Array) -> None:
     """Write the direction of a curve, over a width to either side of a share of its length."""
-    arc = _arc(curve)
+    arc = arc_length(curve)
     here = share * arc[-1]
     u, v = _place(curve, arc, max(here - width, 0.0))
     far_u, far_v = _place(curve, arc, min(here + width, arc[-1]))
@@ -151,7 +144,7 @@ def _by_depth(
     for s in range(2):
         k, other = who[s], who[1 - s]
         curve = points[stops[k - 1] if k else 0 : stops[k]]
-        arc = _arc(curve)
+        arc = arc_length(curve)
         here, width = at[s] * arc[-1], widths[k]
         number, sums, seen, on_top = 0, np.zeros(5), np.empty(2 * _SAMPLES), np.empty(2 * _SAMPLES)
         where = np.empty(2 * _SAMPLES)
@@ -225,9 +218,11 @@ def _by_profile(points: Array, stops: Indices, who: Indices, at: Array, widths: 
             points[stops[k - 1] if k else 0 : stops[k]],
             points[stops[other - 1] if other else 0 : stops[other]],
         )
-        arc, across = _arc(curve), _arc(beyond)
+        arc, across = arc_length(curve), arc_length(beyond)
         here, there, width = at[s] * arc[-1], at[1 - s] * across[-1], float(widths[k])
-        number = 0
+        reach, place, number = 2 * half[1 - s] + widths[other], np.empty(2), 0
+        first = max(np.searchsorted(across, there - reach) - 1, 0)
+        stop = min(np.searchsorted(across, there + reach), len(across) - 1)
         for j in range(_LANES):
             lateral = float((2 * j / (_LANES - 1) - 1) * _LANE * width)
             known, total = 0, 0.0
@@ -243,7 +238,8 @@ def _by_profile(points: Array, stops: Indices, who: Indices, at: Array, widths: 
             for i in range(_SAMPLES):
                 along = here + (2 * (i + 0.5) / _SAMPLES - 1) * half[s]
                 u, v = _beside(curve, arc, along, lateral, width)
-                if _away(beyond, across, there, u, v, 2 * half[1 - s] + widths[other]) < _LANE * widths[other]:
+                place[0], place[1] = u, v
+                if nearest_piece(beyond, place, first, stop)[0] < (_LANE * widths[other]) ** 2:
                     unlike[s] += abs(_grey(rgb, u, v) - total / known)
                     number += 1
         if number < _LANES:
@@ -263,16 +259,3 @@ def _beside(curve: Array, arc: Array, along: float, lateral: float, width: float
     far_u, far_v = _place(curve, arc, along + 0.5 * width)
     norm = max(np.hypot(far_u - back_u, far_v - back_v), 1e-9)
     return u - lateral * (far_v - back_v) / norm, v + lateral * (far_u - back_u) / norm
-
-
-@compiled
-def _away(curve: Array, arc: Array, along: float, u: float, v: float, reach: float) -> float:
-    """Return how far a place is from the part of a curve around an arc position."""
-    least = np.inf
-    first, last = np.searchsorted(arc, along - reach), np.searchsorted(arc, along + reach)
-    for p in range(max(first, 1), min(last + 1, len(arc))):
-        du, dv = curve[p, 0] - curve[p - 1, 0], curve[p, 1] - curve[p - 1, 1]
-        share = ((u - curve[p - 1, 0]) * du + (v - curve[p - 1, 1]) * dv) / max(du * du + dv * dv, 1e-9)
-        share = min(max(share, 0.0), 1.0)
-        least = min(least, np.hypot(u - curve[p - 1, 0] - share * du, v - curve[p - 1, 1] - share * dv))
-    return least

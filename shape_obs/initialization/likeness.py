@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
+from shape_obs.geometry.observed import MAD_SIGMA
 from shape_obs.geometry.polyline import arc_length
 from shape_obs.initialization.skeleton import Branch
 
@@ -28,7 +29,6 @@ _VARIED: Final = 2.5
 _UNLIKE: Final = 36.0
 _MIXED: Final = 3.0
 _OPPONENT: Final = np.array([[0.12, 0.12, 0.12], [0.7, -0.7, 0.0], [0.4, 0.4, -0.8]]).T
-_DEVIATION: Final = 1.4826  # of a normal distribution, over its median absolute deviation
 
 
 class Look(NamedTuple):
@@ -95,7 +95,7 @@ def _look_of_arm(
     low, high = (length - stop, length - start) if arm[1] else (start, stop)
     first, last, middle, deviation = middle_width(radius, arc, low, high)
     colour, mixed = _colour(branch.points[first:last], picture)
-    return Look(middle, _DEVIATION * deviation, colour, mixed)
+    return Look(middle, MAD_SIGMA * deviation, colour, mixed)
 
 
 @compiled("(f8[::1], f8[::1], f8, f8)")
@@ -123,7 +123,7 @@ def _colour(points: Array, picture: Picture | None) -> tuple[Array | None, float
     row = np.clip(np.rint(points[:, 1]).astype(np.intp), 0, high - 1)
     colours = picture[row, column].astype(np.float64) @ _OPPONENT
     middle = np.sort(colours, axis=0)[len(colours) // 2]
-    return middle, _DEVIATION * _middle(np.sqrt(np.sum((colours - middle) ** 2, axis=1)))
+    return middle, MAD_SIGMA * _middle(np.sqrt(np.sum((colours - middle) ** 2, axis=1)))
 
 
 def _middle(values: Array) -> float:

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from shape_obs.camera import Intrinsics
 from shape_obs.frame import FARTHEST, depth_in_metres
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.observed import Observed
+from shape_obs.geometry.observed import MAD_SIGMA, Observed
 from shape_obs.image.region import Region
 from shape_obs.point_cloud.cloud import Cloud
 from shape_obs.point_cloud.lifting import form_depth, lift_form
@@ -31,7 +31,7 @@ _THICK: Final = 5.0  # pixels: from this width on a mask can spare its border, w
 # Depth is compared with the median of its cell, in pixels; what lies off it by more than so many times the median
 # deviation (as a standard deviation) belongs to what is behind or flies in between. Metres: the least that is off.
 _CELL: Final = (6, 16)
-_OFF: Final = 3 * 1.4826
+_OFF: Final = 3 * MAD_SIGMA
 _TOLERANCE: Final = 0.004
 # Points of a sheet's border, each on the plane through so many samples near it; and what keeps that plane from
 # tipping where they lie in a line, square pixels.

@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import Length
-from shape_obs.geometry.polyline import interpolate, laid_over
+from shape_obs.geometry.polyline import interpolate
+from shape_obs.geometry.rotation import fit
 from shape_obs.slots.attempts import Attempt, Seen, in_image
 from shape_obs.tracking.prediction import Track
 from shape_obs.tracking.scene_doubt import nearest_distances
@@ -169,7 +170,7 @@ def _laid_onto(own: Array, other: Array) -> Array:
     if (other[-1] - other[0]) @ (own[-1] - own[0]) < 0:
         other = np.ascontiguousarray(other[::-1])
     target = interpolate(other, np.arange(float(len(other))), np.linspace(0.0, len(other) - 1.0, len(own)))
-    return np.ascontiguousarray(laid_over(own, target, own, scaled=False)[0])
+    return np.ascontiguousarray(fit(own, target).apply(own))
 
 
 def _apart(one: Array, other: Array, far: float) -> float:

@@ -16,7 +16,8 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages
 from shape_obs.geometry.coons import RIM, SIDE, folded_piece, stretched, unfold
-from shape_obs.geometry.polyline import arc_length, interpolate, laid_over
+from shape_obs.geometry.polyline import arc_length, interpolate
+from shape_obs.geometry.rotation import fit
 from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.point_cloud.local_depth import SPARSE, bridged, gather_depth, middle_depth, room
 
@@ -85,7 +86,7 @@ def complete_border(
     arc = arc_length(lines[1])
     visible = [k for k in range(4) if corners[k] >= 0]
     start = SIDE * np.array(visible)
-    placed, _ = laid_over(expected[start], rim[corners[visible]], expected, scaled=True)
+    placed = fit(expected[start], rim[corners[visible]], scaled=True).apply(expected)
     found, seen = np.zeros((4 * SIDE, space.shape[1])), np.zeros(4 * SIDE, bool)
     for k, way in product(visible, (1, -1)):
         side, other = (k, (k + 1) % 4) if way > 0 else ((k - 1) % 4, (k - 1) % 4)
@@ -105,7 +106,7 @@ def complete_border(
     if seen.mean() < _LEAST_SEEN:
         return None
     known = stretched(known, [k for k in range(4) if corners[k] < 0], sides)
-    laid = laid_over(known[seen], found[seen], known, scaled=space.shape[1] == 2)[0]
+    laid = fit(known[seen], found[seen], scaled=space.shape[1] == 2).apply(known)
     index = np.arange(4 * SIDE)
     sharp = seen & (abs((index + SIDE // 2) % SIDE - SIDE // 2) > _ROUND)
     if not sharp.any():

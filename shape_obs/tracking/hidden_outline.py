@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.polyline import arc_length, closed, even_around, interpolate, laid_over
-from shape_obs.geometry.rotation import laid_flat, similarity
+from shape_obs.geometry.polyline import arc_length, closed, even_around, interpolate
+from shape_obs.geometry.rotation import fit, laid_flat, similarity
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -260,7 +260,7 @@ def complete_outline(
     rest = arc[-1] + (whole - arc[-1]) * np.arange(1, steps) / steps
     ends = np.concatenate([[arc[-1], whole], rest])
     hidden = np.stack([np.interp((ends + best) % whole, knots, column) for column in ring.T], axis=-1)
-    laid = laid_over(pattern, seen[some], hidden, scaled=False)[0]
+    laid = fit(pattern, seen[some]).apply(hidden)
     share = (np.arange(1, steps) / steps)[:, None]
     laid = laid[2:] + (1 - share) * (seen[-1] - laid[0]) + share * (seen[0] - laid[1])
     points = np.concatenate([seen, laid])

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
-from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, outer_corners, sample_lattice
+from shape_obs.geometry.lattice import FittedLattice, assess_lattice, lattice_gauges, sample_lattice
 from shape_obs.initialization.corners import Rim
 from tests.benchmarks.scenes.sheets import rotation
 
@@ -66,11 +66,6 @@ class TestPatches:
         expected = RegularGridInterpolator((down, right), lattice)(np.minimum(at, (down[-1], right[-1])))
         found = sample_lattice(lattice, down, right, 3, 4, centers)
         np.testing.assert_allclose(found, expected.reshape(12, -1), atol=1e-9)
-
-    def test_outer_corners_lie_half_a_cell_outside(self):
-        nodes = np.stack(np.meshgrid(np.arange(5.0), np.arange(4.0)), axis=-1)
-        expected = [[-0.5, -0.5], [4.5, -0.5], [4.5, 3.5], [-0.5, 3.5]]
-        np.testing.assert_allclose(outer_corners(nodes), expected)
 
 
 class TestCorners:

@@ -19,3 +19,4 @@ def test_nearest_places_by_brute_force(seed):
     np.testing.assert_allclose(distance, away.min(axis=1), atol=1e-2)
     on = interpolate(curve, arc_length(curve), arc)
     np.testing.assert_allclose(np.linalg.norm(on - points, axis=1), distance, atol=1e-9)
+    assert np.isnan(nearest_on(curve, np.full((1, 2), np.nan))[1]).all()

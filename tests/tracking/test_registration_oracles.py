@@ -7,7 +7,7 @@ import pytest
 
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.outline import material_outline
-from shape_obs.geometry.polyline import laid_over
+from shape_obs.geometry.rotation import fit
 from shape_obs.tracking.registration import renumber_outline
 from shape_obs.tracking.registration_in_space import index_shift_space
 
@@ -29,6 +29,6 @@ def test_the_plane_is_a_plane_in_space(angle):
     before, expected, there = (np.pad(values, ((0, 0), (0, 1))) for values in (reference, predicted, nodes))
     shift, _ = index_shift_space(before, expected, there, there, 1.0)
     assert (shift + 45) % 90 - 45 == pytest.approx(0, abs=0.02)
-    laid, _ = laid_over(reference, nodes, reference, scaled=False)
+    laid = fit(reference, nodes).apply(reference)
     most = 0.003 * np.sqrt(((reference - reference.mean(axis=0)) ** 2).sum(axis=1).mean())
     np.testing.assert_allclose(blended, laid + np.clip(0.05 * (nodes - laid), -most, most), atol=1e-6)

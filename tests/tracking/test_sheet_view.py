@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from shape_obs.geometry.coons import FINE
-from shape_obs.geometry.polyline import laid_over
+from shape_obs.geometry.rotation import fit
 from shape_obs.tracking.sheet_view import doubtful_places, learn_sheet
 
 GAP = 8.0  # pixels between the points that are asked for
@@ -58,7 +58,7 @@ def test_a_dent_is_learnt_slower_than_a_bend():
     for now in (dented(6.0), bent):
         known, _ = learn_sheet(as_points(flat()), as_points(now), SIDES)
         off = np.linalg.norm(now - flat(), axis=-1).ravel()
-        changed = laid_over(known, as_points(flat()), known, scaled=True)[0] - as_points(flat())
+        changed = fit(known, as_points(flat()), scaled=True).apply(known) - as_points(flat())
         gained.append(np.linalg.norm(changed, axis=1)[off.argmax()])
     dent, bend = gained
     assert dent < 0.02

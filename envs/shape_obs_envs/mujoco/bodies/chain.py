@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from shape_obs.geometry.polyline import interpolate
 from shape_obs_envs.mujoco.bodies import GRIPPERS, OBJECT_GROUP, Body, MaterialFactors, PlanarBody
 from shape_obs_envs.mujoco.bodies.tube import Station, Tube, reshape_tube, rounded_ends, set_tube_colours, tube_skin
 from shape_obs_envs.mujoco.scene import mujoco
@@ -183,11 +184,7 @@ class Rope(Body):
 
     def points(self, fractions: Array) -> Array:
         """Return points ``(n, 3)`` of the axis at ``fractions`` ``(n,)`` of its arc length, in metres, world frame."""
-        arc = np.clip(fractions, 0.0, 1.0) * self.spec.length
-        i = np.clip(np.searchsorted(self._arc, arc, side="right") - 1, 0, self.spec.links - 1)
-        t = ((arc - self._arc[i]) / (self._arc[i + 1] - self._arc[i]))[:, None]
-        vertices = self.vertices()
-        return vertices[i] * (1 - t) + vertices[i + 1] * t
+        return interpolate(self.vertices(), self._arc, fractions * self.spec.length)
 
     def _resize(self, thickness: float, length: float = 1.0) -> tuple[float, float]:
         """Set the size to factors of the nominal one; return the radius and the length of a link, in metres."""

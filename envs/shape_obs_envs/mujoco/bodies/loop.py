@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from shape_obs.geometry.polyline import resample
 from shape_obs_envs.mujoco.bodies import GRIPPERS, OBJECT_GROUP, MaterialFactors, PlanarBody
 from shape_obs_envs.mujoco.bodies.tube import Station, Tube, reshape_tube, set_tube_colours, tube_skin
 from shape_obs_envs.mujoco.scene import mujoco
@@ -262,10 +263,7 @@ class Loop(PlanarBody):
     def points(self, n: int) -> Array:
         """Return points ``(n, 3)`` of the outline, equidistant along it from gripper 0, in metres, world frame."""
         edge = self.outline()
-        closed = np.concatenate([edge, edge[:1]])
-        arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
-        at = np.arange(n) / n * arc[-1]
-        return np.column_stack([np.interp(at, arc, column) for column in closed.T])
+        return resample(np.concatenate([edge, edge[:1]]), n + 1)[:-1]
 
     def held_points(self) -> Array:
         """Return the points ``(2, 3)`` of the upper outer edge where the grippers hold it, in metres, world frame."""
