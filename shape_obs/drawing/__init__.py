@@ -9,12 +9,13 @@ from shape_obs.drawing.pictures import Colour as Colour
 from shape_obs.drawing.pictures import Image as Image
 from shape_obs.drawing.pictures import draw_curve as draw_curve
 from shape_obs.drawing.pictures import draw_detection as draw_detection
+from shape_obs.drawing.pictures import draw_over as draw_over
 from shape_obs.drawing.pictures import draw_point as draw_point
-from shape_obs.drawing.pictures import draw_shape as draw_shape
 from shape_obs.drawing.pictures import draw_text as draw_text
+from shape_obs.drawing.pictures import enlarged as enlarged
 from shape_obs.drawing.pictures import point_colours as point_colours
 from shape_obs.drawing.pictures import slot_colours as slot_colours
 from shape_obs.drawing.pictures import text_width as text_width
 from shape_obs.drawing.pictures import wrapped as wrapped
 from shape_obs.drawing.rerun_log import RerunLog as RerunLog
-from shape_obs.drawing.rerun_loop import log_rerun as log_rerun
+from shape_obs.drawing.rerun_log import log_rerun as log_rerun

@@ -63,7 +63,13 @@ def draw_detection(
     """
     picture = rgb.repeat(scale, axis=0).repeat(scale, axis=1)
     for curve, colour in under:
-        draw_curve(picture, _enlarged(curve, scale), colour, thickness=round(4 * size))
+        draw_curve(picture, enlarged(curve, scale), colour, thickness=round(4 * size))
+    draw_over(picture, detection, scale, size)
+    return picture
+
+
+def draw_over(picture: Image, detection: Detection, scale: float, size: float = 1.0) -> None:
+    """Draw every shape in place over a picture that is ``scale`` times as large as the image."""
     lines = [detection.warning] if detection.warning else []
     lines += [f"{name}: {more} more found than there are slots" for name, more in detection.more.items()]
     slots = slot_colours(detection)
@@ -75,7 +81,7 @@ def draw_detection(
         _draw_points(picture, shape, scale, NUMBERED if shape.name in slots else 1, size)
     for shape in detection:
         if shape.name in slots and np.isfinite(shape.pixels[0]).all():
-            u, v = _enlarged(shape.pixels[:1], scale)[0].tolist()
+            u, v = enlarged(shape.pixels[:1], scale)[0].tolist()
             width = text_width(shape.name, size)
             place = min(max(round(u) - width // 2, 2), picture.shape[1] - width - 2), max(round(v - 14 * size), 12)
             draw_text(picture, shape.name, place, size=size)
@@ -86,7 +92,6 @@ def draw_detection(
     rows = [row for line in lines for row in wrapped(line, picture.shape[1] - 16, size)]
     for k, row in enumerate(rows):
         draw_text(picture, row, (8, round((20 + 18 * k) * size)), HIDDEN, size=size)
-    return picture
 
 
 def slot_colours(detection: Detection) -> dict[str, Colour]:
@@ -105,32 +110,17 @@ def point_colours(shape: Shape) -> list[Colour]:
     return [VALID if valid else VISIBLE if visible else HIDDEN for valid, visible in flags]
 
 
-def draw_shape(picture: Image, shape: Shape, *, scale: int = 1) -> None:
-    """Draw one shape in place: its points, and lines between neighbours; nothing where it has no points.
-
-    Args:
-        picture: ``(H, W, 3)`` uint8, RGB.
-        shape: With pixels; its layout says which points are neighbours.
-        scale: By how much the picture was enlarged.
-
-    Raises:
-        ValueError: The shape was found in a cloud: there is nothing to draw it over.
-    """
-    _draw_lines(picture, shape, scale)
-    _draw_points(picture, shape, scale, 1)
-
-
-def _draw_lines(picture: Image, shape: Shape, scale: int, colour: Colour | None = None, size: float = 1.0) -> None:
-    points = _enlarged(shape.pixels, scale)
+def _draw_lines(picture: Image, shape: Shape, scale: float, colour: Colour | None = None, size: float = 1.0) -> None:
+    points = enlarged(shape.pixels, scale)
     known: npt.NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=1))
     for first, second in shape.layout.edges():
         if known[first] and known[second]:
             draw_curve(picture, points[[first, second]], colour or PAPER, thickness=round((3 if colour else 1) * size))
 
 
-def _draw_points(picture: Image, shape: Shape, scale: int, step: int, size: float = 1.0) -> None:
+def _draw_points(picture: Image, shape: Shape, scale: float, step: int, size: float = 1.0) -> None:
     """Draw the points of a shape, and the numbers of one in ``step``."""
-    points = _enlarged(shape.pixels, scale)
+    points = enlarged(shape.pixels, scale)
     numbers = points + _number_offsets(points, shape.layout, 16 * size)
     colours = point_colours(shape)
     for i in np.flatnonzero(np.isfinite(points).all(axis=1)).tolist():
@@ -158,10 +148,10 @@ def draw_point(picture: Image, point: Array, colour: Colour, *, size: float = 1.
 
 
 def _draw_crossing(
-    picture: Image, crossing: Crossing, detection: Detection, scale: int, slots: dict[str, Colour], size: float
+    picture: Image, crossing: Crossing, detection: Detection, scale: float, slots: dict[str, Colour], size: float
 ) -> None:
     """Draw the upper strand over the lower one, or a ring where it is unknown which one that is."""
-    centre = _enlarged(np.array(crossing.pixel), scale)
+    centre = enlarged(np.array(crossing.pixel), scale)
     if crossing.above is None:
         for start in (15, 195):
             for colour, thickness in ((PAPER, 4), (_INK, 2)):
@@ -172,7 +162,7 @@ def _draw_crossing(
                 )  # fmt: skip
         return
     shape = detection[crossing.slots[crossing.above]]
-    points = _enlarged(shape.pixels, scale)
+    points = enlarged(shape.pixels, scale)
     at = crossing.arcs[crossing.above] * (len(points) - 1)
     first = min(max(int(at), 0), len(points) - 2)
     along = points[first + 1] - points[first]
@@ -195,7 +185,8 @@ def draw_curve(picture: Image, points: Array, colour: Colour, *, thickness: int 
         cv2.polylines(picture, [line], False, colour, thickness, _ANTIALIASED, _SHIFT)
 
 
-def _enlarged(points: npt.NDArray[Any], scale: int) -> Array:
+def enlarged(points: npt.NDArray[Any], scale: float) -> Array:
+    """Return where pixels ``(..., 2)`` of an image lie in a picture that is ``scale`` times as large."""
     return (points.astype(np.float64) + 0.5) * scale - 0.5
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Mapping, Sequence, Set
+from typing import TYPE_CHECKING, Any, Final
+from weakref import WeakKeyDictionary
 
 import cv2
 import numpy as np
@@ -11,11 +12,13 @@ import numpy.typing as npt
 
 from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
 from shape_obs.drawing.pictures import GOAL, NUMBERED, PAPER, Image, point_colours, slot_colours
-from shape_obs.drawing.rerun_layout import IMAGE, LOG, PLOTS, WORLD, layout
 from shape_obs.frame import FARTHEST, MILLIMETRE, Frame
 from shape_obs.image.mask_check import check_given_mask
 from shape_obs.shape import Detection, Shape
 from shape_obs.utils.errors import install_hint
+
+if TYPE_CHECKING:
+    from rerun.recording_stream import RecordingStream
 
 Flags = npt.NDArray[np.bool_]
 Features = Mapping[str, "Mapping[str, float] | npt.ArrayLike"]
@@ -26,6 +29,15 @@ _FILL: Final = 0.3  # of a point of the depth cloud, so that points of the shape
 _MASK: Final = ((0, "background", (0, 0, 0, 0)), (1, "object", (60, 200, 80, 90)))
 # Negative radii are in pixels of the screen.
 _POINT, _FIRST, _LINE = -4.0, -6.0, -1.5
+
+WORLD: Final = "camera"  # the camera's optical frame; its parent is the base frame
+IMAGE: Final = "camera/image"  # what lies below has pixels as coordinates
+PLOTS: Final = "plots"
+LOG: Final = "log"
+
+# What is remembered of streams between calls: of those that are passed, and of that of ``rerun.init`` by its id.
+_own: WeakKeyDictionary[RecordingStream, RerunLog] = WeakKeyDictionary()
+_global: dict[str, RerunLog] = {}
 
 
 def import_rerun() -> Any:
@@ -197,32 +209,23 @@ class RerunLog:
         rr, name = self._rr, self._rr.escape_entity_path_part(shape.name)
         colours = np.array(point_colours(shape), np.uint8)
         edges = shape.layout.edges()
-        if shape.points2d is not None:
-            known: Flags = np.asarray(np.isfinite(shape.points2d).all(axis=1))
-            path = f"{IMAGE}/shapes/{name}"
-            labels = [str(i) for i in np.flatnonzero(known)]
-            radii = np.where(np.flatnonzero(known) == 0, _FIRST, _POINT)
-            points = rr.Points2D(
-                shape.points2d[known], colors=colours[known], radii=radii, labels=labels, show_labels=False
-            )
-            self._log(f"{path}/points", points)
-            lines = shape.points2d[edges[known[edges].all(axis=1)]]
-            self._log(f"{path}/lines", rr.LineStrips2D(lines, colors=slot or PAPER, radii=_LINE))
-            shown = np.flatnonzero(known & (np.arange(len(shape)) % (NUMBERED if slot else 1) == 0))
-            texts = [shape.name if slot and i == 0 else str(i) for i in shown]
-            numbers = rr.Points2D(shape.points2d[shown], colors=colours[shown], radii=0, labels=texts, show_labels=True)
-            self._log(f"{path}/numbers", numbers)
-        if shape.points3d is not None:
-            known: Flags = np.asarray(np.isfinite(shape.points3d).all(axis=1))
-            path = f"{WORLD}/shapes/{name}"
-            labels = [str(i) for i in np.flatnonzero(known)]
-            radii = np.where(np.flatnonzero(known) == 0, _FIRST, _POINT)
-            points = rr.Points3D(
-                shape.points3d[known], colors=colours[known], radii=radii, labels=labels, show_labels=False
-            )
-            self._log(f"{path}/points", points)
-            lines = shape.points3d[edges[known[edges].all(axis=1)]]
-            self._log(f"{path}/lines", rr.LineStrips3D(lines, colors=slot or PAPER, radii=_LINE))
+        flat = shape.points2d, f"{IMAGE}/shapes/{name}", rr.Points2D, rr.LineStrips2D
+        deep = shape.points3d, f"{WORLD}/shapes/{name}", rr.Points3D, rr.LineStrips3D
+        for points, path, dots, strips in (flat, deep):
+            if points is None:
+                continue
+            known: Flags = np.asarray(np.isfinite(points).all(axis=1))
+            index = np.flatnonzero(known)
+            labels, radii = [str(i) for i in index], np.where(index == 0, _FIRST, _POINT)
+            drawn = dots(points[known], colors=colours[known], radii=radii, labels=labels, show_labels=False)
+            self._log(f"{path}/points", drawn)
+            lines = points[edges[known[edges].all(axis=1)]]
+            self._log(f"{path}/lines", strips(lines, colors=slot or PAPER, radii=_LINE))
+            if points is shape.points2d:
+                shown = index[index % (NUMBERED if slot else 1) == 0]
+                texts = [shape.name if slot and i == 0 else str(i) for i in shown]
+                numbers = dots(points[shown], colors=colours[shown], radii=0, labels=texts, show_labels=True)
+                self._log(f"{path}/numbers", numbers)
 
     def _log_crossings(self, detection: Detection) -> None:
         places = [crossing.pixel for crossing in detection.crossings]
@@ -253,3 +256,109 @@ class RerunLog:
             self._texts[subject] = text
             line = f"{subject}: {text or 'in order again'}"
             self._log(LOG, self._rr.TextLog(line, level=level if text else "INFO"))
+
+
+def layout(views: Set[str]) -> Any:
+    """Return a blueprint: the image on the left, space on the right, plots and texts below.
+
+    Args:
+        views: What there is to see: ``"image"``, ``"space"``, ``"detection"`` and ``"features"``.
+    """
+    import rerun.blueprint as rrb
+
+    upper: list[Any] = []
+    if "image" in views:
+        contents = ["$origin/**", "- $origin/depth"]
+        upper.append(rrb.Spatial2DView(origin=f"/{IMAGE}", name="image", contents=contents))
+    if "space" in views:
+        flat = [f"- /{IMAGE}/{name}/**" for name in ("shapes", "mask", "crossings", "goals")]
+        upper.append(rrb.Spatial3DView(origin="/", name="space", contents=[f"/{WORLD}/**", *flat]))
+    lower: list[Any] = []
+    hidden = rrb.PlotLegend(visible=False)  # it would cover the lines; the pointer shows their names
+    if "detection" in views:
+        quality = [f"/{PLOTS}/quality/**", f"/{PLOTS}/valid/**"]
+        lower.append(rrb.TimeSeriesView(origin=f"/{PLOTS}", name="quality and valid share", contents=quality))
+        lower.append(rrb.TimeSeriesView(origin=f"/{PLOTS}/timings", name="milliseconds by stage"))
+    if "features" in views:
+        lower.append(rrb.TimeSeriesView(origin=f"/{PLOTS}/features", name="features", plot_legend=hidden))
+    if lower:
+        lower.append(rrb.TextLogView(origin=f"/{LOG}", name="reasons"))
+    rows = [rrb.Horizontal(*part) for part in (upper, lower) if part]
+    container = rrb.Vertical(*rows, row_shares=[3, 1][: len(rows)]) if rows else rrb.Vertical()
+    return rrb.Blueprint(container, rrb.TimePanel(state="collapsed"), collapse_panels=True)
+
+
+def log_rerun(
+    detection: Detection | None,
+    rgb: Image | None = None,
+    depth: npt.NDArray[Any] | None = None,
+    camera: CameraModel | Intrinsics | None = None,
+    *,
+    mask: npt.NDArray[Any] | None = None,
+    features: Features | None = None,
+    number: int | None = None,
+    recording: RecordingStream | None = None,
+    blueprint: bool = True,
+) -> None:
+    """Log a frame and its detection to rerun.
+
+    The page "See it in rerun" lists the entities. Call it once per frame, from one thread::
+
+        rerun.init("my_robot", spawn=True)
+        while True:
+            rgb, depth = read_camera()
+            shape_obs.log_rerun(detector.detect(rgb, depth, camera), rgb, depth, camera)
+
+    Args:
+        detection: What was found; None logs only the images.
+        rgb: ``(H, W, 3)`` uint8, RGB; logged as JPEG.
+        depth: ``(H, W)`` uint16 millimetres or floating metres, aligned to ``rgb``.
+        camera: Intrinsics, or a camera model. With a pose, everything in 3D is shown in the base frame, else in the
+            camera's optical frame.
+        mask: ``(H, W)`` bool or uint8, 0 = background.
+        features: Values by name, plotted over time: ``{"rope/length": 0.41}``, an array of values, or values by the
+            names of their components, as ``FeatureVector.named`` returns them.
+        number: Number of the frame on the timeline ``frame``; None counts the calls.
+        recording: The stream to log to; None for that of ``rerun.init``.
+        blueprint: Whether to arrange the viewer at the first call; False keeps your own blueprint.
+
+    Raises:
+        ImportError: rerun is not installed; the extra ``rerun`` installs it.
+        TypeError: An image has another dtype.
+        ValueError: An image has another shape or size, or there is no recording yet.
+    """
+    log, stream = _log_of(recording, blueprint)
+    log.recording = stream
+    try:
+        log.log(detection, rgb, depth, camera, mask=mask, features=features, number=number)
+    finally:
+        log.recording = None  # nothing but the caller keeps a stream open, so that its file is complete when it is gone
+
+
+def _log_of(recording: RecordingStream | None, blueprint: bool) -> tuple[RerunLog, RecordingStream]:
+    """Return what is remembered of a stream, and the stream; rerun makes a new object of the global one at each call.
+
+    Raises:
+        ValueError: There is no recording yet.
+    """
+    if recording is not None and recording in _own:
+        return _own[recording], recording
+    shared = import_rerun().get_global_data_recording()
+    stream = shared if recording is None else recording
+    if stream is None:
+        raise ValueError('log_rerun: there is no rerun recording; call rerun.init("my_app", spawn=True) first.')
+    key = _recording_id(stream)
+    if recording is not None and (shared is None or _recording_id(shared) != key):
+        _own[recording] = RerunLog(None, blueprint=blueprint)
+        return _own[recording], recording
+    if key not in _global:
+        _global.clear()  # there is one at a time
+        _global[key] = RerunLog(None, blueprint=blueprint)
+    return _global[key], stream
+
+
+def _recording_id(stream: RecordingStream) -> str:
+    """Return the id of a stream, which older versions of rerun return by a function."""
+    if hasattr(stream, "get_recording_id"):
+        return str(stream.get_recording_id())
+    return str(import_rerun().get_recording_id(stream))

@@ -16,8 +16,7 @@ from shape_obs.tuner.page_controls import Controls
 from shape_obs.tuner.page_image import ImagePanel
 from shape_obs.tuner.page_style import STYLE
 from shape_obs.tuner.page_views import Views
-from shape_obs.tuner.pictures import encode
-from shape_obs.tuner.stages import STAGES, stage_picture
+from shape_obs.tuner.pictures import STAGES, encode, stage_picture
 
 _TEXT_EVERY: Final = 0.2  # seconds
 _POLL: Final = 0.004

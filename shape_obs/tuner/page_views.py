@@ -11,8 +11,8 @@ from nicegui import ui
 from shape_obs.shape import Detection
 from shape_obs.tuner.colours import CHANNELS, cloud_of, histogram
 from shape_obs.tuner.engine import Engine
+from shape_obs.tuner.pictures import STAGES
 from shape_obs.tuner.result import Result
-from shape_obs.tuner.stages import STAGES
 
 _EVERY: Final = 0.5  # seconds between updates of what costs time
 _VIEWS: Final = {"stages": "Stages", "space": "3D", "colours": "Colours", "points": "Points", "times": "Times"}

@@ -2,24 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.drawing import draw_detection
-from shape_obs.image.roi import Whole
-from shape_obs.shape import Detection
+from shape_obs.configurations.base import Configuration, Scene
+from shape_obs.drawing import Image, draw_curve, draw_over, draw_text, enlarged, wrapped
+from shape_obs.geometry.observed import Samples
+from shape_obs.image.region import Region
+from shape_obs.image.roi import ROI, Whole
+from shape_obs.tracking.prediction import Fit
 from shape_obs.tuner.result import Result
 
-Image = npt.NDArray[np.uint8]
-
-TINT: Final = (255, 64, 180)
-BORDER: Final = (30, 136, 229)
+#: Names of the stages, with what each picture shows.
+STAGES: Final = {
+    "area": "1. Area: where is it looked for",
+    "mask": "2. Mask: which pixels match",
+    "samples": "3. Samples: pixels put together in cells",
+    "nodes": "4. Nodes: the form fitted to the samples",
+    "points": "5. Points: N points in order",
+}
+_TINT: Final = (255, 64, 180)
+_BORDER: Final = (30, 136, 229)
+_PAPER: Final = (250, 250, 250)
+_PALE: Final = (176, 190, 209)
+_LINE: Final = (90, 105, 125)
 _WIDEST: Final = 1280  # pixels of a picture: what a page shows of a large photo
 _NARROWEST: Final = 480
+_STAGE: Final = 480  # pixels: the width of a stage's picture
 _QUALITY: Final = 85
 
 
@@ -29,15 +41,17 @@ def overlay(result: Result) -> Image:
     A large image is made smaller, and a small one is enlarged, so that the numbers can be read.
     """
     picture, mask, scale = result.picture(), result.mask, scale_of(result.size)
-    size = (round(picture.shape[1] * scale), round(picture.shape[0] * scale))
     if scale != 1:
-        how = cv2.INTER_AREA if scale < 1 else cv2.INTER_NEAREST
-        picture = np.asarray(cv2.resize(picture, size, interpolation=how), np.uint8)
-        mask = np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST), np.uint8)
-    drawn = tinted(picture, mask)
-    _shade_outside(drawn, result, scale)
+        size = (round(picture.shape[1] * scale), round(picture.shape[0] * scale))
+        picture, mask = _resized(picture, size, cv2.INTER_NEAREST), _resized(mask, size)
+    drawn = picture.copy()
+    inside = mask > 0
+    drawn[inside] = (0.55 * drawn[inside] + 0.45 * np.array(_TINT)).astype(np.uint8)
+    cv2.drawContours(drawn, cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0], -1, _TINT, 1)
+    if result.roi is not None and not isinstance(result.roi, Whole):
+        drawn = _shaded(drawn, result.roi, result.size, darker=2)
     if result.detection is not None:
-        drawn = draw_detection(drawn, scaled(result.detection, scale))
+        draw_over(drawn, result.detection, scale)
     return drawn
 
 
@@ -49,16 +63,6 @@ def scale_of(size: tuple[int, int]) -> float:
     return float(-(-_NARROWEST // width)) if width < _NARROWEST else 1.0
 
 
-def tinted(picture: Image, mask: Image) -> Image:
-    """Return a copy of a picture whose mask is tinted and outlined."""
-    drawn = picture.copy()
-    inside = mask > 0
-    drawn[inside] = (0.55 * drawn[inside] + 0.45 * np.array(TINT)).astype(np.uint8)
-    outlines = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0]
-    cv2.drawContours(drawn, outlines, -1, TINT, 1)
-    return drawn
-
-
 def encode(picture: Image) -> bytes:
     """Return an RGB picture as a JPEG."""
     done, data = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
@@ -66,34 +70,102 @@ def encode(picture: Image) -> bytes:
     return data.tobytes()
 
 
-def _shade_outside(picture: Image, result: Result, scale: float) -> None:
-    """Darken what lies outside the area that is searched, and draw its border, in place."""
-    if result.roi is None or isinstance(result.roi, Whole):
-        return
-    window = result.roi.window(result.size)
-    inside = result.roi.blank(np.full((window.height, window.width), 255, np.uint8), window)
-    area = np.zeros(result.size, np.uint8)
-    area[window.slices] = inside
-    if scale != 1:
-        area = np.asarray(cv2.resize(area, picture.shape[1::-1], interpolation=cv2.INTER_NEAREST), np.uint8)
-    outside = area == 0
-    picture[outside] = picture[outside] // 2
-    cv2.drawContours(picture, cv2.findContours(area, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0], -1, BORDER, 2)
+def stage_picture(result: Result, stage: str) -> Image:
+    """Return the picture of a stage, for the first shape of a result.
+
+    The samples and nodes are those of a fit without a track, as in a first frame.
+
+    Args:
+        result: What was found.
+        stage: A key of ``STAGES``.
+    """
+    scale = _STAGE / max(result.size[1], 1)
+    picture = result.picture()
+    picture = _resized(picture, (_STAGE, max(round(picture.shape[0] * scale), 1)), cv2.INTER_LINEAR)
+    spec = result.config.filled()[0]
+    if stage == "area":
+        if result.roi is None:
+            return _blank(picture, "the area is not known in this frame")
+        return _shaded(picture, result.roi, result.size, darker=3)
+    if result.roi is None or spec.segmentation is None or result.error:
+        return _blank(picture, result.error or "nothing is looked for yet")
+    region = result.regions[spec.segmentation]
+    if stage == "mask":
+        return _pale(picture, region, result.size)
+    if stage == "points":
+        assert result.detection is not None
+        draw_over(picture, result.detection, scale)
+        return picture
+    if region.refusal:
+        return _blank(picture, region.refusal)
+    drawn = _pale(picture, region, result.size)
+    if stage == "samples":
+        _draw_samples(drawn, region.gather(max(region.width / 3, 1.0)), scale)
+        return drawn
+    found = spec.fit(region, None, None, Scene(result.roi.window(result.size)))
+    if found.nodes is None or found.topology is None:
+        return _blank(picture, found.reason or "no form was found")
+    _draw_nodes(drawn, found, spec, scale)
+    return drawn
 
 
-def scaled(detection: Detection, scale: float) -> Detection:
-    """Return a detection in the pixels of the picture."""
-    if scale == 1:
-        return detection
-    shapes = tuple(
-        shape if shape.points2d is None else replace(shape, points2d=_place(shape.points2d, scale))
-        for shape in detection
-    )
-    crossings = tuple(
-        each._replace(pixel=tuple(_place(np.array(each.pixel), scale).tolist())) for each in detection.crossings
-    )
-    return replace(detection, shapes=shapes, crossings=crossings)
+def _resized(picture: Image, size: tuple[int, int], larger: int = cv2.INTER_NEAREST) -> Image:
+    """Return a picture in another size (width, height); a mask, which has no colours, is not averaged."""
+    how = cv2.INTER_AREA if picture.ndim == 3 and size[0] < picture.shape[1] else larger
+    return np.array(cv2.resize(picture, size, interpolation=how), np.uint8)
 
 
-def _place(points: npt.NDArray[Any], scale: float) -> npt.NDArray[np.float32]:
-    return ((points + 0.5) * scale - 0.5).astype(np.float32)
+def _shaded(picture: Image, roi: ROI, size: tuple[int, int], darker: int) -> Image:
+    """Return a picture of an image of ``(H, W)``, dark outside the area that is searched, with the area's border.
+
+    Args:
+        picture: ``(h, w, 3)``.
+        roi: The area.
+        size: Of the image.
+        darker: Divides what is outside; also the thickness of the border.
+    """
+    window = roi.window(size)
+    area = np.zeros(size, np.uint8)
+    area[window.slices] = roi.blank(np.full((window.height, window.width), 255, np.uint8), window)
+    area = _resized(area, picture.shape[1::-1])
+    drawn = np.where(area[..., None] > 0, picture, picture // darker).astype(np.uint8)
+    cv2.drawContours(drawn, cv2.findContours(area, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0], -1, _BORDER, darker)
+    return drawn
+
+
+def _pale(picture: Image, region: Region, size: tuple[int, int]) -> Image:
+    """Return the mask in a pale colour on paper."""
+    mask = np.zeros(size, np.uint8)
+    mask[region.window.slices] = region.mask
+    inside = _resized(mask, picture.shape[1::-1])[..., None] > 0
+    return np.where(inside, np.array(_PALE), np.array(_PAPER)).astype(np.uint8)
+
+
+def _draw_samples(picture: Image, samples: Samples, scale: float) -> None:
+    """Draw each sample as a dot as large as its weight, in place."""
+    for point, weight in zip(enlarged(samples.points, scale), samples.weight, strict=True):
+        _dot(picture, point, max(0.35 * scale * weight**0.5, 1.2), _TINT)
+
+
+def _draw_nodes(picture: Image, found: Fit, spec: Configuration, scale: float) -> None:
+    """Draw the nodes of a fit and the lines between neighbours, in place."""
+    assert found.nodes is not None
+    assert found.topology is not None
+    nodes = enlarged(found.nodes, scale)
+    for first, second in found.topology.edges():
+        draw_curve(picture, nodes[[first, second]], _LINE, thickness=2)
+    for node in nodes:
+        _dot(picture, node, 4.0, _BORDER)
+
+
+def _dot(picture: Image, point: npt.NDArray[np.float64], radius: float, colour: tuple[int, int, int]) -> None:
+    centre = round(point[0] * 16), round(point[1] * 16)
+    cv2.circle(picture, centre, round(radius * 16), colour, -1, cv2.LINE_AA, 4)
+
+
+def _blank(picture: Image, text: str) -> Image:
+    """Return paper with a reason on it, broken into lines."""
+    paper = np.full_like(picture, 245)
+    for i, line in enumerate(wrapped(text, paper.shape[1] - 32)):
+        draw_text(paper, line, (16, 32 + 20 * i))
+    return paper

@@ -15,7 +15,7 @@ from shape_obs.config.config_file import detector_arguments, dump_config, save_c
 from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.configurations.base import Configuration
 from shape_obs.detector import ShapeDetector
-from shape_obs.frame import Frame, depth_in_metres
+from shape_obs.frame import Frame
 from shape_obs.image.colour_picker import propose_segmentation
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.spec import to_plain
@@ -227,14 +227,6 @@ class Session:
         if self.rule is None:
             raise ValueError("Nothing to save yet: click on the object first.")
         save_config(path, self.settings.arguments)
-
-    def depth_range(self, frame: Frame) -> tuple[float, float] | None:
-        """Return the nearest and the farthest depth of a frame in metres; None if it has none."""
-        if frame.depth is None:
-            return None
-        metres = depth_in_metres(frame.depth[::4, ::4])
-        known = metres[np.isfinite(metres)]
-        return (float(known.min()), float(known.max())) if known.size else None
 
     def _change(self, settings: Settings, path: Path = ()) -> bool:
         if self.read_only:
