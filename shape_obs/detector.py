@@ -24,10 +24,9 @@ from shape_obs.frame import Frame
 from shape_obs.geometry.crossings import Crossing
 from shape_obs.geometry.intersections import crossing_table, find_crossings, joined
 from shape_obs.geometry.observed import Observed
-from shape_obs.image.depth_units import UnitCheck
 from shape_obs.image.find_region import prepare
 from shape_obs.image.mask_check import check_given_mask
-from shape_obs.image.mask_hints import MaskHints
+from shape_obs.image.mask_hints import MaskHints, UnitCheck
 from shape_obs.image.over_under import find_layers
 from shape_obs.image.region import Region
 from shape_obs.image.roi import ROI

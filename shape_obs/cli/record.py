@@ -143,7 +143,7 @@ def _shown(args: Arguments, source: RGBDSource) -> Iterator[Callable[[Moment], N
     """
     from tqdm import tqdm
 
-    from shape_obs.utils.newest import Newest
+    from shape_obs.utils.threads import Newest
 
     with ExitStack() as stack:
         bar = stack.enter_context(tqdm(total=args.frames, unit="frame", leave=False, desc="recording"))

@@ -12,8 +12,7 @@ from typing import Any, Final, TypeVar, overload
 from numba.core import config, types
 from numba.core.registry import CPUDispatcher
 
-from shape_obs.compiled.cache import DiskCache, cache_folder
-from shape_obs.compiled.fingerprint import code_size, fingerprint
+from shape_obs.compiled.cache import DiskCache, cache_folder, code_size, fingerprint
 
 F = TypeVar("F", bound=Callable[..., Any])
 

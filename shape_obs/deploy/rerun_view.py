@@ -6,7 +6,7 @@ from typing import Any
 
 from shape_obs.deploy.loop import Step
 from shape_obs.drawing.rerun_log import RerunLog
-from shape_obs.utils.newest import Newest
+from shape_obs.utils.threads import Newest
 
 
 class RerunView:

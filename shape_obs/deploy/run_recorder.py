@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from shape_obs.frame import Frame
 from shape_obs.recording import Moment, Recorded, RecordingWriter, RobotInfo, Transition
-from shape_obs.recording.transition import plain
+from shape_obs.recording.format import plain
 from shape_obs.recording.writer import check_new_folder
 from shape_obs.robot import measured, robot_anchors, robot_name
 

@@ -12,7 +12,7 @@ import numpy as np
 from shape_obs.deploy.loop import Step
 from shape_obs.drawing import GOAL, draw_detection
 from shape_obs.utils.errors import install_hint
-from shape_obs.utils.newest import Newest
+from shape_obs.utils.threads import Newest
 
 
 class LiveView:

@@ -21,8 +21,7 @@ from shape_obs.extraction.task import Outcome, Task
 from shape_obs.features import Block, Feature, FeatureContext, FeatureVector, read_features
 from shape_obs.recording import Moment, ShapeLog, ShapeTable, replay
 from shape_obs.recording.replay import check_depth
-from shape_obs.recording.step_columns import step_columns
-from shape_obs.recording.table import Column
+from shape_obs.recording.table import Column, step_columns
 from shape_obs.shape import Detection
 from shape_obs.source import RGBDSource
 from shape_obs.utils.threads import one_thread

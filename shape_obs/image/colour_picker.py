@@ -10,8 +10,19 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.image.click_regions import Mask, Photo, Pixel, around, border_changes
-from shape_obs.image.click_trials import INSIDE, Trial, hits, masked, pieces, trials
+from shape_obs.image.click_regions import (
+    INSIDE,
+    Mask,
+    Photo,
+    Pixel,
+    Trial,
+    around,
+    border_changes,
+    hits,
+    masked,
+    pieces,
+    trials,
+)
 from shape_obs.image.clicked_colours import ClickedColours
 from shape_obs.image.segmentation import Segmentation
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from shape_obs.drawing import Image, draw_detection
 from shape_obs.recording.format import Moment
-from shape_obs.recording.gif import GifEncoder
-from shape_obs.recording.video import Encoder, open_encoder
+from shape_obs.recording.video import Encoder, GifEncoder, open_encoder
 from shape_obs.shape import Detection
 from shape_obs.utils.files import begin_file, finish_file, make_folder
 

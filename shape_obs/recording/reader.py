@@ -17,11 +17,11 @@ from shape_obs.recording.format import (
     CameraFile,
     FrameLine,
     Moment,
+    RobotInfo,
     camera_from_dict,
     read_known,
 )
 from shape_obs.recording.images import restore
-from shape_obs.recording.transition import RobotInfo
 from shape_obs.source import BadRecording
 from shape_obs.utils.documents import parse_json, read_json
 

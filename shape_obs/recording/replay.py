@@ -14,10 +14,8 @@ from shape_obs.detector import ShapeDetector
 from shape_obs.extrinsics import now
 from shape_obs.features import read_features
 from shape_obs.features.feature import what_needs_depth
-from shape_obs.recording.format import Moment, camera_to_dict, read_moments
-from shape_obs.recording.step_columns import step_columns
-from shape_obs.recording.table import Column, ShapeTable
-from shape_obs.recording.transition import Transition
+from shape_obs.recording.format import Moment, Transition, camera_to_dict, read_moments
+from shape_obs.recording.table import Column, ShapeTable, step_columns
 from shape_obs.recording.writer import software
 from shape_obs.shape import Detection, Shape
 from shape_obs.source import RGBDSource

@@ -22,10 +22,10 @@ from shape_obs.recording.format import (
     FRAMES_FILE,
     VERSION,
     Moment,
+    RobotInfo,
     camera_to_dict,
 )
 from shape_obs.recording.images import store
-from shape_obs.recording.transition import RobotInfo
 from shape_obs.source import RGBDSource
 from shape_obs.utils.files import make_folder, write_text
 

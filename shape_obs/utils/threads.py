@@ -1,14 +1,20 @@
-"""Limit the threads of OpenCV, BLAS and OpenMP, for reproducible timings and sums and for forked processes."""
+"""Limit the threads of libraries, and run slow work in a thread.
+
+Limits make timings and sums reproducible, and processes safe to fork.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from functools import lru_cache
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import cv2
+
+T = TypeVar("T")
 
 
 @contextmanager
@@ -56,3 +62,49 @@ def use_no_threads_in_forked_children() -> None:
 
 def _without_threads() -> None:
     cv2.setNumThreads(0)
+
+
+class Newest(Generic[T]):
+    """A thread that works on the newest value; values that come while it is busy replace each other.
+
+    Args:
+        work: Called in the thread with one value at a time.
+        name: Name of the thread.
+    """
+
+    def __init__(self, work: Callable[[T], object], name: str) -> None:
+        self._work = work
+        self._waiting: list[T] = []  # at most one
+        self._wake, self._over = threading.Condition(), False
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def put(self, value: T) -> None:
+        """Work on a value next, in place of one that is still waiting; return at once."""
+        with self._wake:
+            self._waiting = [value]
+            self._wake.notify()
+
+    def close(self, timeout: float = 2.0) -> bool:
+        """Finish the last value and end the thread.
+
+        Args:
+            timeout: Seconds to wait for it.
+
+        Returns:
+            Whether it ended; work that hangs is left alone.
+        """
+        with self._wake:
+            self._over = True
+            self._wake.notify()
+        self._thread.join(timeout)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        while True:
+            with self._wake:
+                self._wake.wait_for(lambda: self._over or self._waiting)
+                if not self._waiting:
+                    return
+                value = self._waiting.pop()
+            self._work(value)

@@ -11,8 +11,7 @@ from knot_oracles import bracket, closed_above, crossings_in_space, determinant
 from shape_obs.geometry.crossings import Crossing, format_code, gauss_code, gauss_codes
 from shape_obs.geometry.intersections import find_crossings
 from shape_obs.geometry.knot_diagram import ABOVE, BELOW, Diagram, is_planar, reduced, with_arc
-from shape_obs.geometry.knot_polynomial import CIRCLE, jones_polynomial, product
-from shape_obs.geometry.knots import are_hooked, is_knotted, lifts_off, reduced_code
+from shape_obs.geometry.knots import CIRCLE, are_hooked, is_knotted, jones_polynomial, lifts_off, product, reduced_code
 from tests.benchmarks.scenes.knots import KNOTS, UNKNOTS, DrawnKnot, drawn_knot, with_heights
 
 # Jones polynomials by exponents of t, up to a mirror image: V. F. R. Jones, "Hecke Algebra Representations of Braid

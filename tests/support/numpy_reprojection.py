@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs import Intrinsics
-from shape_obs_envs.sources.depth_reprojection import MARGIN
+from shape_obs_envs.sources.registration import MARGIN
 
 Depth = npt.NDArray[np.uint16]
 Metres = npt.NDArray[np.float32]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 
-from shape_obs.utils.newest import Newest
+from shape_obs.utils.threads import Newest
 
 
 def test_values_that_come_while_it_works_replace_each_other():

@@ -10,10 +10,10 @@ import numpy as np
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from shape_obs_envs.arguments import count, one_of
+from shape_obs_envs.arguments import count
 from shape_obs_envs.mujoco.bodies import GRIPPERS
 from shape_obs_envs.mujoco.bodies.chain import Chain, ChainSpec, Rope, chain_bodies, chain_equality, chain_skin
-from shape_obs_envs.mujoco.goal_env import SUBSTEPS, ShapeGoalEnv
+from shape_obs_envs.mujoco.goal_env import SUBSTEPS, ShapeGoalEnv, even_fractions
 from shape_obs_envs.mujoco.goals import Corner, measured_space
 from shape_obs_envs.mujoco.workspace import BoxWorkspace, TwoGripperWorkspace
 
@@ -81,20 +81,10 @@ class RopeEnv(ShapeGoalEnv, EzPickle):
         Raises:
             ValueError: An argument is out of its range.
         """
-        one_of("frame", frame, ("world", "camera", "pixels"))
-        one_of("ends", ends, ("tips", "centers"))
-        count("n", n, 2)
-        fractions = np.linspace(0.0, 1.0, n) if ends == "tips" else (np.arange(n) + 0.5) / n
-        points = self._rope.points(fractions)
-        camera = self.camera_model
+        points = self._rope.points(even_fractions(count("n", n, 2), ends))
         if surface:
-            assert camera.transform_camera_to_base is not None
-            points = self._rope.visible_surface(
-                points, camera.transform_camera_to_base[:3, 3], 3 * self._rope.spec.radius
-            )
-        if frame == "world":
-            return points
-        return camera.from_base(points) if frame == "camera" else camera.project_from_base(points)
+            points = self._rope.visible_surface(points, self._eye, 3 * self._rope.spec.radius)
+        return self._in_frame(points, frame)
 
     def _goal_points(self) -> Array:
         return self._rope.points(np.linspace(0, 1, POINTS))

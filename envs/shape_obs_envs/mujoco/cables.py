@@ -16,11 +16,10 @@ from shape_obs_envs.arguments import count, one_of
 from shape_obs_envs.mujoco.bodies import GRIPPERS
 from shape_obs_envs.mujoco.bodies.chain import ChainSpec
 from shape_obs_envs.mujoco.bodies.crossings import Crossing, intersections, self_intersections, stacked
-from shape_obs_envs.mujoco.bodies.ropes import Ropes
-from shape_obs_envs.mujoco.bodies.ropes_model import ropes_bodies, ropes_equality, ropes_sections
-from shape_obs_envs.mujoco.goal_env import SUBSTEPS, ShapeGoalEnv
+from shape_obs_envs.mujoco.bodies.ropes import Ropes, ropes_bodies, ropes_equality, ropes_sections
+from shape_obs_envs.mujoco.goal_env import SUBSTEPS, ShapeGoalEnv, even_fractions
 from shape_obs_envs.mujoco.goals import DIFFICULTIES, Actions, Difficulty, measured_space
-from shape_obs_envs.mujoco.tethers import TetheredWorkspace
+from shape_obs_envs.mujoco.workspace import TetheredWorkspace
 
 Array = NDArray[np.float64]
 
@@ -154,25 +153,16 @@ class CablesEnv(ShapeGoalEnv, EzPickle):
         Raises:
             ValueError: An argument is out of its range.
         """
-        one_of("frame", frame, ("world", "camera", "pixels"))
-        one_of("ends", ends, ("tips", "centers"))
-        count("n", n, 2)
-        fractions = np.linspace(0.0, 1.0, n) if ends == "tips" else (np.arange(n) + 0.5) / n
-        points = self._ropes.points(fractions)
+        points = self._ropes.points(even_fractions(count("n", n, 2), ends))
         rope = self.rope if rope is None else rope
         if isinstance(rope, str):
             one_of("rope", rope, ("all",))
             points = points.reshape(-1, 3)
         else:
             points = points[count("rope", rope, 0, self._ropes.ropes - 1)]
-        camera = self.camera_model
         if surface:
-            assert camera.transform_camera_to_base is not None
-            eye, near = camera.transform_camera_to_base[:3, 3], 3 * self._ropes.spec.radius
-            points = self._ropes.visible_surface(points, eye, near)
-        if frame == "world":
-            return points
-        return camera.from_base(points) if frame == "camera" else camera.project_from_base(points)
+            points = self._ropes.visible_surface(points, self._eye, 3 * self._ropes.spec.radius)
+        return self._in_frame(points, frame)
 
     def crossings(self) -> list[Crossing]:
         """Return the true crossings in the camera's image, of each rope with the others and with itself."""

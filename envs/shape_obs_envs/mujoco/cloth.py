@@ -10,11 +10,10 @@ import numpy as np
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from shape_obs_envs.arguments import count, one_of
+from shape_obs_envs.arguments import count
 from shape_obs_envs.mujoco.bodies import GRIPPERS
-from shape_obs_envs.mujoco.bodies.sheet import Sheet
-from shape_obs_envs.mujoco.bodies.sheet_model import SheetSpec, sheet_bodies, sheet_sections
-from shape_obs_envs.mujoco.goal_env import SUBSTEPS, ShapeGoalEnv
+from shape_obs_envs.mujoco.bodies.sheet import Sheet, SheetSpec, sheet_bodies, sheet_sections
+from shape_obs_envs.mujoco.goal_env import SUBSTEPS, ShapeGoalEnv, even_fractions
 from shape_obs_envs.mujoco.goals import DIFFICULTIES, Actions, Difficulty, measured_space, smooth_actions
 from shape_obs_envs.mujoco.workspace import HeldEdgeWorkspace
 
@@ -114,15 +113,8 @@ class ClothEnv(ShapeGoalEnv, EzPickle):
         Raises:
             ValueError: An argument is out of its range.
         """
-        one_of("frame", frame, ("world", "camera", "pixels"))
-        one_of("ends", ends, ("tips", "centers"))
-        sizes = count("rows", rows, 2), count("cols", cols, 2)
-        places = (np.linspace(0, 1, n) if ends == "tips" else (np.arange(n) + 0.5) / n for n in sizes)
-        points = self._sheet.points(*places).reshape(-1, 3)
-        if frame == "world":
-            return points
-        camera = self.camera_model
-        return camera.from_base(points) if frame == "camera" else camera.project_from_base(points)
+        places = (even_fractions(n, ends) for n in (count("rows", rows, 2), count("cols", cols, 2)))
+        return self._in_frame(self._sheet.points(*places).reshape(-1, 3), frame)
 
     # ---- ShapeGoalEnv
 

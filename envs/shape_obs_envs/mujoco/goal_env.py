@@ -258,6 +258,21 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
 
     # ---- internal
 
+    @property
+    def _eye(self) -> Array:
+        """Where the camera stands, ``(3,)`` metres, world frame."""
+        transform = self.camera_model.transform_camera_to_base
+        assert transform is not None
+        return transform[:3, 3]
+
+    def _in_frame(self, points: Array, frame: str) -> Array:
+        """Return points ``(n, 3)`` of the world frame in one of the frames of ``truth``."""
+        one_of("frame", frame, ("world", "camera", "pixels"))
+        if frame == "world":
+            return points
+        camera = self.camera_model
+        return camera.from_base(points) if frame == "camera" else camera.project_from_base(points)
+
     def _move(self, action: Array) -> None:
         target = self._workspace.clip(self._target + action.reshape(self._target.shape) * self.STEP, self._target)
         self._body.step_to(self._target, target, SUBSTEPS)
@@ -298,3 +313,9 @@ class ShapeGoalEnv(gym.Env[Any, NDArray[np.float32]], abc.ABC):
             "truth/points": observation["achieved_goal"].reshape(-1, 3).copy(),
             "truth/mean_error": distance,
         }
+
+
+def even_fractions(n: int, ends: str) -> Array:
+    """Return ``n`` even fractions of a length: from tip to tip, or in the middle of n equal parts."""
+    one_of("ends", ends, ("tips", "centers"))
+    return np.linspace(0.0, 1.0, n) if ends == "tips" else (np.arange(n) + 0.5) / n

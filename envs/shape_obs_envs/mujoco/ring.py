@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from shape_obs_envs.arguments import count, one_of
+from shape_obs_envs.arguments import count
 from shape_obs_envs.mujoco.bodies import GRIPPERS
 from shape_obs_envs.mujoco.bodies.loop import Loop, LoopSpec, loop_bodies, loop_equality, loop_skin
 from shape_obs_envs.mujoco.goal_env import SUBSTEPS, ShapeGoalEnv
@@ -97,12 +97,7 @@ class RingEnv(ShapeGoalEnv, EzPickle):
         Raises:
             ValueError: An argument is out of its range.
         """
-        one_of("frame", frame, ("world", "camera", "pixels"))
-        points = self._loop.points(count("n", n, 3))
-        if frame == "world":
-            return points
-        camera = self.camera_model
-        return camera.from_base(points) if frame == "camera" else camera.project_from_base(points)
+        return self._in_frame(self._loop.points(count("n", n, 3)), frame)
 
     # ---- ShapeGoalEnv
 

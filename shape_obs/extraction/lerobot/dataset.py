@@ -12,9 +12,8 @@ from typing import Any, Final
 import numpy as np
 
 from shape_obs.extraction.extraction import Extraction
-from shape_obs.extraction.lerobot.episode import Episode, read_episode
 from shape_obs.extraction.lerobot.videos import need_encoder
-from shape_obs.extraction.lerobot.writer import LeRobotSummary, LeRobotWriter
+from shape_obs.extraction.lerobot.writer import Episode, LeRobotSummary, LeRobotWriter, read_episode
 from shape_obs.extraction.task import Task
 from shape_obs.recording import ShapeTable
 from shape_obs.utils.files import make_folder

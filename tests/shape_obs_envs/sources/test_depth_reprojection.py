@@ -9,8 +9,8 @@ import pytest
 from numpy_reprojection import reproject  # pyright: ignore[reportMissingImports]
 
 from shape_obs import Intrinsics
-from shape_obs_envs.sources.depth_reprojection import DepthReprojection, check_pose
 from shape_obs_envs.sources.realsense.driver import d455_geometry
+from shape_obs_envs.sources.registration import DepthReprojection, check_pose
 
 D455 = d455_geometry(640, 480, 0.001)
 POSE = D455.rotation, D455.translation

@@ -10,8 +10,7 @@ import numpy as np
 
 from shape_obs.spec import Spec, SpecError, did_you_mean
 from shape_obs_envs.mujoco.randomization.appearance import ObjectAppearance, TableAppearance, widened_rule
-from shape_obs_envs.mujoco.randomization.distractor_ropes import DistractorRopes
-from shape_obs_envs.mujoco.randomization.distractors import Distractors
+from shape_obs_envs.mujoco.randomization.distractors import DistractorRopes, Distractors
 from shape_obs_envs.mujoco.randomization.factors import CameraPose, Factor, Light, Material, Scene
 from shape_obs_envs.mujoco.randomization.hand_occluder import Hand, HandVisit
 

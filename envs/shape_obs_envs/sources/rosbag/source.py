@@ -3,25 +3,128 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from itertools import islice
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import islice, pairwise
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, NamedTuple
 
-from shape_obs.camera import CameraModel
+import numpy as np
+
+from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
 from shape_obs.source import BadRecording, EndOfSource
 from shape_obs_envs.sources.rectification import Rectification
-from shape_obs_envs.sources.rosbag.bag import Bag
 from shape_obs_envs.sources.rosbag.images import read_colour, read_depth
-from shape_obs_envs.sources.rosbag.lens import read_lens
-from shape_obs_envs.sources.rosbag.pairing import Image, half_interval, pair_images
-from shape_obs_envs.sources.rosbag.topics import Topics, choose_topics
+from shape_obs_envs.sources.rosbag.topics import Bag, Topics, choose_topics
 from shape_obs_envs.sources.sequence import SequenceSource
+
+#: Largest number of colour images that wait for their depth. Bags store messages as they arrived, and depth may take
+#: some frames longer; what waits longer has no depth.
+_PENDING: Final = 30
+#: Added to half a frame, in seconds: stamps jitter.
+_JITTER: Final = 0.001
+
+#: distortion model of ROS -> the numbers of coefficients that it may have
+_MODELS: Final = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14), "equidistant": (4,)}
+_FISHEYE: Final = "equidistant"
 
 #: Number of colour images whose stamps give the time between frames.
 _SAMPLE: Final = 16
+
+
+class Image(NamedTuple):
+    """An image message and when it was taken.
+
+    Attributes:
+        number: How many images of its topic came before.
+        stamp: Seconds of the camera's clock.
+        message: The message.
+    """
+
+    number: int
+    stamp: float
+    message: Any
+
+
+def half_interval(stamps: Sequence[float]) -> float:
+    """Return half of the usual time between frames in seconds, with a margin for jitter, from some stamps."""
+    steps = sorted(after - before for before, after in pairwise(stamps) if after > before)
+    return (steps[len(steps) // 2] / 2 if steps else 0.5) + _JITTER
+
+
+def pair_images(
+    images: Iterable[tuple[bool, Image]], max_gap: float, gaps: list[float] | None = None
+) -> Iterator[tuple[Image, Image]]:
+    """Yield each colour image with the depth image that is nearest in time; one without such a depth is left out.
+
+    Args:
+        images: Colour and depth images as they arrived; True for depth.
+        max_gap: Largest time between the two in seconds.
+        gaps: Filled with the gap of each colour image to its nearest depth image; None if not needed.
+    """
+    colours: deque[Image] = deque()
+    depths: deque[Image] = deque()
+
+    def match(colour: Image) -> Iterator[tuple[Image, Image]]:
+        nearest = min(depths, key=lambda depth: abs(depth.stamp - colour.stamp), default=None)
+        if nearest is None:
+            return
+        gap = abs(nearest.stamp - colour.stamp)
+        if gaps is not None:
+            gaps.append(gap)
+        if gap <= max_gap:
+            yield colour, nearest
+        while depths and depths[0].stamp < colour.stamp - max_gap and depths[0] is not depths[-1]:
+            depths.popleft()
+
+    for is_depth, image in images:
+        (depths if is_depth else colours).append(image)
+        while colours and ((depths and depths[-1].stamp >= colours[0].stamp) or len(colours) > _PENDING):
+            yield from match(colours.popleft())
+        while len(depths) > _PENDING:
+            depths.popleft()
+    for colour in colours:
+        yield from match(colour)
+
+
+def read_lens(message: Any, size: tuple[int, int], rectified: bool, topic: str) -> Rectification | None:
+    """Return how to rectify the images that a ``CameraInfo`` describes; None if the camera is not calibrated.
+
+    Args:
+        message: The message.
+        size: ``(H, W)`` of the images.
+        rectified: Whether the images are rectified already; their intrinsics are then those of P, not of K.
+        topic: The topic of the message, for errors.
+
+    Raises:
+        BadRecording: It describes images of another size, a part of the image, or an unknown lens.
+    """
+    matrix = np.reshape(message.k, (3, 3))
+    if rectified and np.any(message.p):
+        matrix = np.reshape(message.p, (3, 4))[:, :3]
+    if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
+        return None
+    if (message.height, message.width) != size:
+        raise BadRecording(
+            f"{topic} describes images of {message.width} x {message.height} pixels, the colour image has {size[1]} x "
+            f"{size[0]}: choose the topic of this image with info=, or info=false for frames without intrinsics."
+        )
+    roi = message.roi
+    if max(message.binning_x, message.binning_y) > 1 or roi.x_offset or roi.y_offset:
+        raise BadRecording(f"{topic}: binning and regions of interest are not supported; record the whole image.")
+    fx, fy, cx, cy = (float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    pinhole = Intrinsics(size[1], size[0], fx, fy, cx, cy)
+    if rectified or not np.any(message.d):
+        return Rectification(pinhole, None)
+    model, count = message.distortion_model, len(message.d)
+    if count not in _MODELS.get(model, ()):
+        raise BadRecording(
+            f"{topic}: the distortion model {model!r} with {count} coefficients is not supported, expected "
+            f"{', '.join(_MODELS)}: record the rectified image (image_proc), or give its topic with color=."
+        )
+    return Rectification.from_opencv(pinhole, np.asarray(message.d, np.float64), fisheye=model == _FISHEYE)
 
 
 class RosbagSource(SequenceSource):

@@ -12,7 +12,7 @@ pytest.importorskip("mujoco")
 
 from randomized import make, play, reset, same  # pyright: ignore[reportMissingImports]
 
-from shape_obs_envs.mujoco.randomization.distractor_ropes import heights_over
+from shape_obs_envs.mujoco.randomization.distractors import heights_over
 from shape_obs_envs.mujoco.scene import cast_rays
 
 ROPES = {"others": False, "distractors": {"most": 0, "ropes": 3}}
