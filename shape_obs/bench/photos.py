@@ -1,9 +1,8 @@
 """Photograph drawn objects on a table, maybe under a hand: colour, depth with a D455's noise, and the truth in space.
 
     rng = np.random.default_rng(0)
-    detector = ShapeDetector(["centerline"], BLUE)
-    for scene in photographs(rng, moving_rope(rng, speed=6.0, frames=60), hand=True):
-        shape = detector.detect(scene.rgb, scene.depth, scene.camera).shapes[0]
+    for scene in photographs(rng, moving_rope(rng, speed=6.0), hand=True):
+        detection = detector.detect(scene.rgb, scene.depth, scene.camera)
 
 The camera frame is x right, y down, z forward, in metres.
 """
@@ -18,7 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.scenes import SIZE, Array, Mask, Object
+from shape_obs.bench.scenes import SIZE, Array, Mask, Object, truth_of
 from shape_obs.camera import Intrinsics
 from shape_obs.image.segmentation import HSVRange
 
@@ -26,10 +25,8 @@ Image = npt.NDArray[np.uint8]
 
 BLUE: Final = HSVRange(low=(100, 80, 25), high=(130, 255, 255))  # segments the photographed objects
 _OBJECT, _TABLE, _SKIN = (40.0, 80.0, 200.0), (150.0, 150.0, 145.0), (205.0, 150.0, 125.0)
-_FOCAL: Final = 386.0  # pixels at 640 x 480, as in a D455
-_BASELINE: Final = 0.095  # metres, of a D455
-_DISPARITY: Final = 0.08  # pixels, standard deviation of a D455
-_HOLES: Final = 0.01  # share of the pixels without depth
+# Of a D455: focal length at 480 rows, pixels; baseline, metres; deviation of a disparity, pixels; share without depth.
+_FOCAL, _BASELINE, _DISPARITY, _HOLES = 386.0, 0.095, 0.08, 0.01
 
 
 @dataclass(frozen=True)
@@ -37,7 +34,7 @@ class Hand:
     """A hand that comes from outside the image: a bar with a round tip.
 
     Args:
-        tip: The middle of the round tip, ``(2,)`` pixels.
+        tip: The middle of the round tip, (u, v) pixels.
         heading: Direction in which the hand points, in radians, clockwise as seen from the u axis.
         width: Thickness in pixels.
     """
@@ -48,8 +45,7 @@ class Hand:
 
     def covers(self, points: Array) -> npt.NDArray[np.bool_]:
         """Return whether the hand is over each point: (..., 2) pixels -> (...) bool."""
-        ahead = np.array([np.cos(self.heading), np.sin(self.heading)])
-        offset = points - np.array(self.tip)
+        ahead, offset = np.array([np.cos(self.heading), np.sin(self.heading)]), points - np.array(self.tip)
         along = np.minimum(offset @ ahead, 0.0)
         return np.linalg.norm(offset - along[..., None] * ahead, axis=-1) <= self.width / 2
 
@@ -61,11 +57,11 @@ class Scene:
     Args:
         rgb: ``(H, W, 3)`` uint8: a blue object on a gray table; ``BLUE`` segments it.
         mask: The visible part of the object, ``(H, W)`` uint8, 0 or 255.
-        depth: ``(H, W)`` uint16 millimetres along the optical axis with the noise of a D455, 0 = invalid.
+        depth: ``(H, W)`` uint16 millimetres along the optical axis, 0 = invalid.
         camera: The intrinsics.
-        pixels: The known points of the object in order, ``(P, 2)`` pixels, see ``truth`` of the object.
+        pixels: The known points of the object in order, ``(P, 2)`` pixels, see ``truth_of``.
         points: The same points on the object's upper surface, ``(P, 3)`` metres, camera frame.
-        hidden: Whether the hand is over each point, or the point is out of the image, ``(P,)`` bool.
+        hidden: ``(P,)`` bool: the hand is over the point, or it is out of the image.
     """
 
     rgb: Image
@@ -78,24 +74,23 @@ class Scene:
 
 
 def photographs(
-    rng: np.random.Generator, objects: Iterable[Object], *, hand: bool = False, tilt: float = 0.0, distance: float = 0.7
+    rng: np.random.Generator, objects: Iterable[Object], *, hand: bool = False, tilt: float = 0.0
 ) -> Iterator[Scene]:
-    """Photograph a moving object in every frame, on one table, in one light.
+    """Photograph an object in every frame of a motion, on one table in one light.
 
     Args:
         rng: Draws light, noise, table and hand.
         objects: The object in every frame.
         hand: Whether a hand comes after a fifth of the frames, covers a part of the object and leaves again.
         tilt: Angle between the optical axis and the table's normal in radians.
-        distance: Distance of the object's surface along the optical axis in metres.
     """
-    shown, towards = list(objects), rng.uniform(0, 2 * np.pi)
-    normal = np.array([np.sin(tilt) * np.cos(towards), np.sin(tilt) * np.sin(towards), np.cos(tilt)])
-    light, place, aside = rng.uniform(0, 2 * np.pi), rng.uniform(), rng.uniform(-0.5, 0.5)
+    shown, (towards, light) = list(objects), rng.uniform(0, 2 * np.pi, 2)
+    normal = (np.sin(tilt) * np.cos(towards), np.sin(tilt) * np.sin(towards), np.cos(tilt))
+    place, aside = rng.uniform(), rng.uniform(-0.5, 0.5)
     for i, thing in enumerate(shown):
-        reach = min((i + 0.5) / len(shown) - 0.2, 0.8 - (i + 0.5) / len(shown)) / 0.15
+        reach = (0.3 - abs((i + 0.5) / len(shown) - 0.5)) / 0.15
         over = _hand_over(thing, place, aside, min(reach, 1.0)) if hand and reach > 0 else None
-        yield photograph(rng, thing, hand=over, normal=normal, distance=distance, light=light)
+        yield photograph(rng, thing, hand=over, normal=normal, light=light)
 
 
 def photograph(
@@ -103,33 +98,35 @@ def photograph(
     thing: Object,
     *,
     hand: Hand | None = None,
-    normal: npt.ArrayLike = (0.0, 0.0, 1.0),
+    normal: tuple[float, float, float] = (0.0, 0.0, 1.0),
     distance: float = 0.7,
     light: float | None = None,
 ) -> Scene:
-    """Photograph an object 10 mm thick on a table with a camera like a D455.
+    """Photograph an object 10 mm thick on a table with a camera like a D455; a hand is 60 mm above the object.
 
     Args:
         rng: Draws the noise of colour and depth.
         thing: The object.
-        hand: A hand 60 mm above the object.
-        normal: Unit normal of the table, ``(3,)``, camera frame; by default the camera looks straight down.
+        hand: The hand, if there is one.
+        normal: Unit normal of the table, camera frame; by default the camera looks straight down.
         distance: Distance of the object's surface along the optical axis in metres.
         light: Direction of the light in the image in radians; None draws it.
     """
-    camera, facing = pinhole((thing.mask.shape[1], thing.mask.shape[0])), np.asarray(normal, dtype=np.float64)
-    grid = np.stack(np.meshgrid(np.arange(float(camera.width)), np.arange(float(camera.height))), axis=-1)
-    upright, rays = camera.rays(grid) @ facing, camera.rays(thing.truth)
-    depth = (distance * facing[2] + np.where(thing.mask > 0, 0.0, 0.01)) / upright
+    (height, width), truth = thing.mask.shape, truth_of(thing)
+    camera, facing = pinhole((width, height)), np.array(normal)
+    grid = np.stack(np.meshgrid(np.arange(float(width)), np.arange(float(height))), axis=-1)
+    surface = distance * facing[2] / (camera.rays(grid) @ facing)
+    depth = np.where(thing.mask > 0, surface, surface * (1 + 0.01 / (distance * facing[2])))
     rgb, mask = photographed(rng, thing.mask, contrast=1.5, noise=4.0, light=light), thing.mask
-    hidden = np.any((thing.truth < -0.5) | (thing.truth >= np.array([camera.width, camera.height]) - 0.5), axis=1)
+    hidden = np.any((truth < -0.5) | (truth >= np.array([width, height]) - 0.5), axis=1)
     if hand is not None:
         over = hand.covers(grid)
-        mask, hidden = np.where(over, np.uint8(0), mask), hidden | hand.covers(thing.truth)
-        depth[over] = distance * facing[2] / upright[over] - 0.06
+        mask, hidden = np.where(over, np.uint8(0), mask), hidden | hand.covers(truth)
+        depth[over] = surface[over] - 0.06
         rgb[over] = np.rint(_SKIN + rng.normal(0, 4.0, (np.count_nonzero(over), 3)))
+    rays = camera.rays(truth)
     points = rays * (distance * facing[2] / (rays @ facing))[:, None]
-    return Scene(rgb, mask, depth_noise(rng, depth, camera), camera, thing.truth, points, hidden)
+    return Scene(rgb, mask, depth_noise(rng, depth, camera), camera, truth, points, hidden)
 
 
 def photographed(
@@ -144,25 +141,22 @@ def photographed(
         noise: RMS noise of the image in gray levels.
         light: Direction in which it becomes brighter, in radians; None draws it.
     """
-    height, width = mask.shape
-    angle = rng.uniform(0, 2 * np.pi) if light is None else light
+    (height, width), angle = mask.shape, rng.uniform(0, 2 * np.pi) if light is None else light
     v, u = np.mgrid[:height, :width]
     along = u / width * np.cos(angle) + v / height * np.sin(angle)
-    along = (along - along.min()) / np.ptp(along)
-    scene = np.where(mask[..., None] > 0, _OBJECT, _TABLE) * (contrast ** (along - 1.0))[..., None]
+    bright = contrast ** ((along - along.min()) / np.ptp(along) - 1.0)
+    scene = np.where(mask[..., None] > 0, _OBJECT, _TABLE) * bright[..., None]
     return np.clip(np.rint(scene + rng.normal(0, noise, scene.shape)), 0, 255).astype(np.uint8)
 
 
 def depth_noise(rng: np.random.Generator, depth: Array, camera: Intrinsics) -> npt.NDArray[np.uint16]:
-    """Measure ``(H, W)`` metres as a D455 does: millimetres with noise that grows with the distance squared, and holes.
+    """Measure ``(H, W)`` metres as a D455 does: millimetres with holes, and noise that grows with the distance squared.
 
-    Stereo matching correlates the noise of neighbouring pixels; a hundredth of the pixels has no depth.
+    Stereo matching correlates the noise of neighbouring pixels.
     """
-    sigma = depth**2 * _DISPARITY / (camera.fx * _BASELINE)
     noise = cv2.GaussianBlur(rng.normal(size=depth.shape), (0, 0), 1.0)
-    millimetres = np.rint(1e3 * (depth + sigma * noise / noise.std())).clip(0, 65535).astype(np.uint16)
-    millimetres[rng.random(depth.shape) < _HOLES] = 0
-    return millimetres
+    metres = depth + depth**2 * _DISPARITY / (camera.fx * _BASELINE) * noise / noise.std()
+    return np.where(rng.random(depth.shape) < _HOLES, 0, np.rint(1e3 * metres).clip(0, 65535)).astype(np.uint16)
 
 
 def pinhole(size: tuple[int, int]) -> Intrinsics:
@@ -172,15 +166,9 @@ def pinhole(size: tuple[int, int]) -> Intrinsics:
 
 
 def _hand_over(thing: Object, place: float, aside: float, reach: float) -> Hand:
-    """Return a hand that comes from the border towards the image's middle.
-
-    Args:
-        thing: The object.
-        place: The covered point, as a share of the object's points.
-        aside: By how much its heading is turned, in radians.
-        reach: How far it has come, 0 to 1.
-    """
-    size, spot = np.array(thing.mask.shape[::-1]), thing.truth[int(place * len(thing.truth))]
+    """Return a hand from the border over a ``place``, a share of the object's points; it has come with ``reach`` 1."""
+    size, truth = np.array(thing.mask.shape[::-1]), truth_of(thing)
+    spot = truth[int(place * len(truth))]
     heading = float(np.arctan2(*(size / 2 - spot)[::-1])) + aside
     tip = spot - 0.4 * size[1] * (1 - reach) * np.array([np.cos(heading), np.sin(heading)])
     return Hand((float(tip[0]), float(tip[1])), heading, 0.075 * float(size[1]))

@@ -3,7 +3,7 @@
 Nothing here uses the library's own methods, so that a detector can be compared with the truth:
 
     for rope in moving_rope(np.random.default_rng(0), speed=6.0):
-        error = distance(detector.detect_mask(rope.mask).shapes[0].pixels, rope.truth)
+        error = distance(detector.detect_mask(rope.mask).shapes[0].pixels, rope.curve)
 
 Pixels are (u, v), u to the right and v down, and whole at the centre of a pixel.
 """
@@ -27,10 +27,9 @@ SIZE: Final[Size] = (480, 640)  # rows and columns of an image
 _SUPERSAMPLING: Final = 4
 _HARMONICS: Final = 3  # of the heading along a moving rope
 _ANGLES: Final = 2 * np.pi * np.arange(1440) / 1440
-# Cloth bends and shears in the image plane and hardly stretches: the standard deviation by which sides bend, as a share
-# of the short side; points slide along their side by a fifth of it.
 _FINE: Final = 65  # points along each side of a sheet
-_BEND: Final = 0.035
+# Cloth bends and shears in the image plane and hardly stretches: points slide along a side by a fifth of its bend.
+_BEND: Final = 0.035  # standard deviation, short sides
 _SLIDE: Final = 0.2
 _CORNER_TURN: Final = 55.0  # smallest turn of the outline at a corner in degrees
 _SHEET_MARGIN: Final = 12.0  # pixels
@@ -53,11 +52,6 @@ class Rope:
     kind: str = "given"
 
     @property
-    def truth(self) -> Array:
-        """The known points in order, ``(P, 2)`` pixels: the centreline."""
-        return self.curve
-
-    @property
     def length(self) -> float:
         """Arc length from tip to tip, in pixels."""
         return float(np.linalg.norm(np.diff(self.curve, axis=0), axis=1).sum())
@@ -68,7 +62,7 @@ class Blob:
     """A drawn blob, or a ring if it has a hole.
 
     Args:
-        outline: ``(P, 2)`` pixels, closed, clockwise as seen; point i of a moving blob stays the same material point.
+        outline: ``(P, 2)`` pixels, closed, clockwise as seen.
         mask: ``(H, W)`` uint8, 0 or 255.
         kind: How the outline was made.
         hole: The outline of the hole in the same form, ``(Q, 2)`` pixels; None without a hole.
@@ -79,32 +73,28 @@ class Blob:
     kind: str = "given"
     hole: Array | None = None
 
-    @property
-    def truth(self) -> Array:
-        """The known points in order, ``(P, 2)`` pixels: the outline."""
-        return self.outline
-
 
 @dataclass(frozen=True)
 class Sheet:
     """A drawn cloth.
 
     Args:
-        points: The material lattice up to the border, (65, 65, 2) pixels: rows from top to bottom, columns from left to
-            right in the cloth's frame.
+        points: The material lattice up to the border, (65, 65, 2) pixels: rows from top to bottom.
         mask: ``(H, W)`` uint8, 0 or 255.
     """
 
     points: Array
     mask: Mask
 
-    @property
-    def truth(self) -> Array:
-        """The known points row by row, (4225, 2) pixels."""
-        return self.points.reshape(-1, 2)
-
 
 Object: TypeAlias = "Rope | Blob | Sheet"
+
+
+def truth_of(thing: Object) -> Array:
+    """Return the known points in order, ``(P, 2)`` pixels: an axis, an outline, or a cloth's lattice row by row."""
+    if isinstance(thing, Sheet):
+        return thing.points.reshape(-1, 2)
+    return thing.curve if isinstance(thing, Rope) else thing.outline
 
 
 # Ropes
@@ -143,14 +133,7 @@ def moving_curve(
     """Yield the axis of a rope that wanders, turns and bends; its fastest point moves ``speed`` pixels per frame.
 
     The heading along the rope is a sum of sines whose amplitudes swing; the middle follows a Lissajous curve. Point i
-    is the same material point in every frame.
-
-    Args:
-        rng: Draws the motion.
-        speed: Speed in pixels per frame; 0 for a rope at rest.
-        frames: Number of frames.
-        length: Length of the rope in pixels.
-        width: Width of the rope in pixels.
+    is the same material point in every frame; ``length`` and ``width`` are pixels, and speed 0 keeps the rope at rest.
     """
     rates = rng.uniform(0.3, 0.9, _HARMONICS)
     phases, bends = rng.uniform(0, 2 * np.pi, _HARMONICS), 1.1 / np.arange(1, _HARMONICS + 1)
@@ -235,25 +218,14 @@ def wavy_circle(waves: Array) -> Array:
 
 
 def draw_sheet(points: Array, size: Size = SIZE) -> Sheet:
-    """Draw the cloth with a given lattice, (65, 65, 2) pixels."""
-    border = border_of(points)
-    low = np.clip(np.floor(border.min(axis=0)).astype(int) - 1, 0, (size[1] - 1, size[0] - 1))
-    high = np.clip(np.ceil(border.max(axis=0)).astype(int) + 2, low + 1, (size[1], size[0]))
-    width, height = (high - low).tolist()
-    canvas, mask = blank((height, width)), np.zeros(size, np.uint8)
-    cv2.fillPoly(canvas, [subpixel(border - low)], (255,), shift=8)
-    mask[low[1] : high[1], low[0] : high[0]] = covered(canvas)
-    return Sheet(points, mask)
+    """Draw the cloth with a given lattice, (65, 65, 2) pixels: a pixel is inside if its centre is."""
+    return Sheet(points, np.where(_inside(border_of(points), size), np.uint8(255), np.uint8(0)))
 
 
 def moving_sheet(rng: np.random.Generator, speed: float, frames: int = 180, *, aspect: float = 1.5) -> Iterator[Sheet]:
     """Draw a cloth that wanders, turns and bends; its fastest point moves ``speed`` pixels per frame.
 
-    Args:
-        rng: Draws the motion.
-        speed: Speed in pixels per frame; 0 for a cloth at rest.
-        frames: Number of frames.
-        aspect: Width over height in the cloth's frame.
+    ``aspect`` is width over height in the cloth's frame; speed 0 keeps the cloth at rest.
     """
     flat = flat_cloth(aspect) * 0.8  # leaves room to move
     while True:
@@ -282,10 +254,7 @@ def flat_cloth(aspect: float) -> Array:
 def swinging_bend(rng: np.random.Generator, flat: Array, bend: float = _BEND) -> Callable[[float], Array]:
     """Return a smooth displacement of a cloth that swings with time: time -> (65, 65, 2) pixels.
 
-    Args:
-        rng: Draws the modes.
-        flat: The flat cloth, (65, 65, 2) pixels.
-        bend: Standard deviation of each bending mode, in short sides.
+    ``bend`` is the standard deviation of each bending mode, in short sides of the ``flat`` cloth.
     """
     width, height = np.ptp(flat[..., 0]), np.ptp(flat[..., 1])
     u, v = flat[..., 0] / width + 0.5, flat[..., 1] / height + 0.5
@@ -355,10 +324,7 @@ def rotation(radians: float) -> Array:
 def times(at: Callable[[float], Array], speed: float, frames: int) -> Iterator[float]:
     """Yield the times of frames between which the fastest point moves ``speed`` pixels.
 
-    Args:
-        at: Takes a time and returns the points, (..., 2) pixels.
-        speed: Speed in pixels per frame; 0 repeats the first time.
-        frames: Number of frames.
+    ``at`` takes a time and returns (..., 2) pixels; speed 0 repeats the first time.
     """
     time = 0.0
     for frame in range(frames):

@@ -30,8 +30,9 @@ COMMANDS: Final = {
     "deploy": "run a policy or a controller on a robot with a camera",
     "markers": "draw markers or a calibration board to print",
     "calibrate": "measure a camera's intrinsics, and its pose in the base frame",
+    "bench": "measure the speed on this machine, and the paper's table",
 }
-_GROUPS: Final = ("calibrate",)  # commands with subcommands
+_GROUPS: Final = ("calibrate", "bench")  # commands with subcommands
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -75,7 +76,7 @@ def run_part(command: str, noun: str, parts: Mapping[str, str], argv: Sequence[s
     """Run the subcommand that ``argv`` starts with, or list all of them; return the exit code.
 
     Args:
-        command: The command, such as ``"bench"``; its subcommands are modules of ``tests.benchmarks.cli``.
+        command: The command, such as ``"bench"``; its subcommands are modules of ``shape_obs.cli.bench``.
         noun: What error messages call a subcommand.
         parts: Each subcommand and what it does.
         argv: The subcommand and its arguments.
