@@ -1,37 +1,39 @@
-"""Fill the pages on the paper's Table I, and copy their pictures, from the folder of a run:
+"""Fill the page on the paper's Table I and draw its bars, from the folder of a run:
 
-shape-obs bench table --out table
+shape-obs bench table --frames 1000 --clock thread --out table
 uv run python docs/pictures/table.py table
-
-Without a folder, the bars are drawn again from the tables of the second page.
 """
 
 from __future__ import annotations
 
+import csv
 import re
-import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
-from tests.benchmarks.table.figures import PICTURES, draw_bars
-from tests.benchmarks.table.frames import CONFIGURATIONS
-from tests.benchmarks.table.summary import LABELS
-from tests.benchmarks.tables import Row
+from matplotlib.figure import Figure
+
+from shape_obs.bench.table import CONFIGURATIONS, LABELS, PAPER
 
 DOCS = Path(__file__).parent.parent
 PAGES = {
     "table": DOCS / "benchmarks" / "table-1.md",
     "details": DOCS / "benchmarks" / "table-1-configurations.md",
 }
-IMAGES = DOCS / "images"
+COLOURS = {"gmm": "#8c9db5", "fcm": "#b59a8c", "kmeans": "#9ab58c", "kohonen": "#b58cab", "som": "#1f6fb4"}
+HEADS = {
+    "sc": "Silhouette (higher is better)",
+    "ch": "Calinski-Harabasz score (higher is better, logarithmic)",
+    "ms": "Time per frame [ms] (lower is better, logarithmic)",
+}
 
 
 def main(folder: Path) -> None:
-    """Fill the marked blocks of both pages from a run, and copy its pictures into the docs."""
-    measured = (folder / "table.md").read_text(encoding="utf-8")
-    first = re.search(r"^## (?!All three)", measured, flags=re.MULTILINE)
-    split = first.start() if first else len(measured)
-    blocks = {"table": measured[:split].replace("\n## ", "\n### "), "details": measured[split:]}
+    """Fill the marked blocks of both pages, and draw the bars."""
+    machine, parts = (folder / "table.md").read_text(encoding="utf-8").split("\n\n## Centerline", 1)
+    details, whole = parts.split("## All", 1)
+    blocks = {"table": f"{machine}\n\n### All three configurations{whole}", "details": f"## Centerline{details}"}
     for name, page in PAGES.items():
         text, count = re.subn(
             rf"(<!-- {name} -->\n).*?(<!-- end -->)",
@@ -41,42 +43,34 @@ def main(folder: Path) -> None:
         )
         assert count == 1, f"{page} has {count} places for the table"
         page.write_text(text, encoding="utf-8")
-    for name in PICTURES:
-        shutil.copyfile(folder / name, IMAGES / f"table_{name}")
+    with (folder / "table.csv").open(encoding="utf-8") as file:
+        draw_bars([*csv.DictReader(file)]).savefig(DOCS / "images" / "table_bars.png", dpi=105)
 
 
-def read_page() -> list[Row]:
-    """Read the means of the page's tables and half their 95 % intervals, as the bars need them."""
-    page = PAGES["details"].read_text(encoding="utf-8")
-    return [row for name in CONFIGURATIONS for row in _read_table(page, name)]
-
-
-def _read_table(page: str, name: str) -> list[Row]:
-    """Read the table of a configuration, which stands below its heading."""
-    title = name.capitalize()
-    table = re.search(
-        rf"^## {title}, .*\n\n\|  \| SC \| CH \| time \[s\] \|.*\n.*\n((?:\|.*\n)+)", page, flags=re.MULTILINE
-    )
-    if table is None:
-        raise ValueError(
-            f"{PAGES['details']}: expected the heading '## {title}, ...' and directly below it a table with the "
-            "columns '', 'SC', 'CH', 'time [s]'."
-        )
-    methods, found = {label: method for method, label in LABELS.items()}, []
-    for line in table[1].splitlines():
-        label, *cells = line.strip("| ").split(" | ")
-        row = Row(configuration=name, method=methods[label])
-        for measure, cell, factor in zip(("sc", "ch", "ms"), cells, (1, 1, 1000), strict=False):
-            mean, _, half = cell.partition(" ± ")
-            row |= {measure: factor * float(mean), f"{measure}_half_interval": factor * float(half or "nan")}
-        found.append(row)
-    return found
+def draw_bars(rows: list[dict[str, str]]) -> Any:
+    """Draw the three measures by configuration with intervals, and hatched those of the paper."""
+    figure, names = Figure(figsize=(10.2, 9.6), layout="constrained"), list(CONFIGURATIONS)
+    for axis, (measure, head) in zip(figure.subplots(3, 1), HEADS.items(), strict=True):
+        for i, method in enumerate(LABELS):
+            shift = 0.168 * (i - 2)
+            own = [row for row in rows if row["method"] == method and row["configuration"] in names]
+            places = [names.index(row["configuration"]) + shift for row in own]
+            axis.bar(places, [float(row[measure]) for row in own], 0.155, color=COLOURS[method], label=LABELS[method])
+            halves = [float(row[f"{measure}_half"]) for row in own]
+            axis.errorbar(places, [float(row[measure]) for row in own], halves, fmt="none", ecolor="#22313f", capsize=2)
+            if method in PAPER:
+                axis.bar(
+                    3 + shift, PAPER[method][measure], 0.155, color="white", edgecolor=COLOURS[method], hatch="////"
+                )
+        axis.set_xticks(range(4), [*names, "as published, on the paper's data"])
+        axis.set_title(head, loc="left")
+        axis.set(axisbelow=True, yscale="linear" if measure == "sc" else "log")
+        axis.grid(axis="y", color="#e4e4e0")
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False)
+    return figure
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 2:
-        raise SystemExit("usage: table.py [FOLDER]")
-    if len(sys.argv) == 2:
-        main(Path(sys.argv[1]))
-    else:
-        draw_bars(read_page()).savefig(IMAGES / "table_bars.png", dpi=105)
+    if len(sys.argv) != 2:
+        raise SystemExit("usage: table.py FOLDER")
+    main(Path(sys.argv[1]))

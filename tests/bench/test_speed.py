@@ -16,7 +16,8 @@ IMAGE_STAGES = ["mask to points", "image to points", "image and depth to 3D poin
 def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[object, str, str]:
     with pytest.raises(SystemExit) as end:
         main(["bench", *arguments])
-    return (end.value.code, *capsys.readouterr())
+    out, err = capsys.readouterr()
+    return end.value.code, out, err
 
 
 def test_every_stage_is_timed_at_every_size(capsys: pytest.CaptureFixture[str]):

@@ -13,9 +13,10 @@ from typing import Any, get_args, get_type_hints
 import pytest
 
 from shape_obs.cli import COMMANDS
+from shape_obs.cli.bench import MEASUREMENTS
 from shape_obs.cli.calibrate import CALIBRATIONS
 
-GROUPS = {"calibrate": CALIBRATIONS}
+GROUPS = {"calibrate": CALIBRATIONS, "bench": MEASUREMENTS}
 COMMAND_LINES = [name for name in COMMANDS if name not in GROUPS]
 COMMAND_LINES += [f"{group} {part}" for group, parts in GROUPS.items() for part in parts]
 # Wrong usage of every command: a missing or invalid value, a value out of range, options that exclude each other.
@@ -39,6 +40,8 @@ WRONG = {
     "markers": ["-o m.txt", "--size 0", "--board 7 5 36 27", "--charuco --size 30", "--ids -1"],
     "calibrate base": ["", "--source d455 --frames 0", "--source d455 --max-rms 0", "--source d455 --set a"],
     "calibrate intrinsics": ["", "--source d455 --views 0", "--source d455 --board 7 5"],
+    "bench speed": ["--frames 0", "--sizes 5x5", "--envs Sea", "--clock sun"],
+    "bench table": ["--frames 9", "--only nonsense", "--clock sun"],
 }  # fmt: skip
 # What only running a command shows.
 FAILS = {
@@ -56,6 +59,7 @@ FAILS = {
     "markers": "-o {file}/m.pdf",
     "calibrate base": "--source none.db3",
     "calibrate intrinsics": "--source none.db3",
+    "bench table": "--out {file}/o",
 }
 # Not rich: old versions of tyro write their help with it.
 HEAVY = [
@@ -117,7 +121,7 @@ def test_help_reads_well_in_80_columns_and_loads_only_the_options(tmp_path):
 
 
 def test_every_command_is_tested_here():
-    assert set(WRONG) == set(FAILS) == set(COMMAND_LINES)
+    assert set(WRONG) == {*FAILS, "bench speed"} == set(COMMAND_LINES)  # which reads and writes no file
 
 
 def test_wrong_usage_ends_with_2_before_anything_slow_is_imported(tmp_path):

@@ -23,6 +23,7 @@ import pytest
 from shape_obs import Centerline, HSVRange, Segmentation, save_config
 from shape_obs.cli import COMMANDS as CLI_COMMANDS
 from shape_obs.cli import main
+from shape_obs.cli.bench import MEASUREMENTS
 from shape_obs.cli.calibrate import CALIBRATIONS
 
 ROOT = Path(__file__).parents[2]
@@ -193,7 +194,7 @@ def test_the_readme_has_the_two_commands_as_they_are_promised():
     assert "uv run pytest" in lines
 
 
-PARTS = {"calibrate": CALIBRATIONS}
+PARTS = {"calibrate": CALIBRATIONS, "bench": MEASUREMENTS}
 COMMAND_LINES = [command for command in CLI_COMMANDS if command not in PARTS]
 COMMAND_LINES += [f"{group} {part}" for group, parts in PARTS.items() for part in parts]
 CLI_PAGES = ROOT / "docs" / "reference" / "cli"
