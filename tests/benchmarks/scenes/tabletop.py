@@ -16,13 +16,12 @@ from shape_obs.bench.scenes import rotation
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.markers import MarkerLayout
 from shape_obs.markers.finder import dictionary_named
+from tests.benchmarks.scenes.several_ropes import with_stereo_noise
 
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
 CAMERA: Final = Intrinsics(640, 480, 386.0, 386.0, 321.3, 244.6)
 LAYOUT: Final = MarkerLayout.rectangle(marker=0.06, width=0.6, height=0.42)
-DISTANCE: Final = (0.65, 0.9)  # metres from the camera to the middle of the rectangle
-TILT: Final = 35.0  # degrees, at most
 _RASTER: Final = 2000  # pixels per metre of the drawn table
 _MARGIN: Final = 0.35  # metres of table around the markers
 _FINER: Final = 4  # supersampling in each direction
@@ -70,15 +69,13 @@ class MarkerScene:
         rays = self.intrinsics.rays(np.stack([columns, rows], axis=-1))
         normal = self.transform[:3, 2]
         depth = (normal @ self.transform[:3, 3]) / (rays @ normal)
-        sigma = depth**2 * 0.08 / (self.intrinsics.fx * 0.095)  # disparity error 0.08 px, baseline 95 mm
-        noise = cv2.GaussianBlur(rng.normal(size=depth.shape), (0, 0), 1.0)  # stereo matching correlates neighbours
-        return depth + sigma * noise / noise.std()
+        return with_stereo_noise(depth, self.intrinsics.fx, rng)
 
 
 def marker_scene(seed: int, layout: MarkerLayout = LAYOUT, intrinsics: Intrinsics = CAMERA) -> MarkerScene:
     """Draw a scene whose distance, tilt, turn, light and noise depend on the seed."""
     rng = np.random.default_rng(seed)
-    transform = random_pose(rng, np.mean(layout.box, axis=0), DISTANCE, TILT)
+    transform = random_pose(rng, np.mean(layout.box, axis=0), (0.65, 0.9), 35.0)
     table, origin = _table(layout, rng)
     return MarkerScene(photograph(table, origin, _RASTER, transform, intrinsics, rng), transform, intrinsics, layout)
 
@@ -101,17 +98,18 @@ def photograph(
     table: Image, origin: Array, raster: float, transform: Array, intrinsics: Intrinsics, rng: np.random.Generator
 ) -> Image:
     """Return the camera's image, ``(H, W, 3)``, of a drawn (h, w) table whose upper left corner is at ``origin``."""
-    to_metres = np.array(
-        [[1 / raster, 0, origin[0] + 0.5 / raster], [0, 1 / raster, origin[1] + 0.5 / raster], [0, 0, 1]]
-    )
-    finer = np.array([[_FINER, 0, 0.5 * (_FINER - 1)], [0, _FINER, 0.5 * (_FINER - 1)], [0, 0, 1]])
+    to_metres = np.diag([1 / raster, 1 / raster, 1.0])
+    to_metres[:2, 2] = origin + 0.5 / raster
+    finer = np.diag([_FINER, _FINER, 1.0])
+    finer[:2, 2] = 0.5 * (_FINER - 1)
+    size = intrinsics.width, intrinsics.height
     warp = finer @ intrinsics.matrix @ transform[:3, (0, 1, 3)] @ to_metres
-    large = (intrinsics.width * _FINER, intrinsics.height * _FINER)
-    seen = cv2.warpPerspective(table, warp, large, flags=cv2.INTER_AREA, borderValue=150)
-    gray = cv2.resize(seen, (intrinsics.width, intrinsics.height), interpolation=cv2.INTER_AREA).astype(np.float64)
-    gray = cv2.GaussianBlur(gray, (0, 0), _BLUR)
+    seen = cv2.warpPerspective(
+        table, warp, (size[0] * _FINER, size[1] * _FINER), flags=cv2.INTER_AREA, borderValue=(150.0,)
+    )
+    gray = cv2.GaussianBlur(cv2.resize(seen, size, interpolation=cv2.INTER_AREA).astype(np.float64), (0, 0), _BLUR)
     slope = rng.uniform(-0.15, 0.15, 2)
-    x, y = np.linspace(-1, 1, intrinsics.width), np.linspace(-1, 1, intrinsics.height)[:, None]
+    x, y = np.linspace(-1, 1, size[0]), np.linspace(-1, 1, size[1])[:, None]
     light = rng.uniform(0.7, 1.0) * (1 + slope[0] * x + slope[1] * y)
     rgb = (gray * light)[..., None] * (1.0, 0.98, 0.94) + rng.normal(0, _NOISE, (*gray.shape, 3))
     return np.clip(np.round(rgb), 0, 255).astype(np.uint8)
@@ -120,24 +118,18 @@ def photograph(
 def _table(layout: MarkerLayout, rng: np.random.Generator) -> tuple[Image, Array]:
     """Draw a speckled table with the markers on white paper; return it and its upper left corner in metres."""
     low, high = np.array(layout.box[0]) - _MARGIN, np.array(layout.box[1]) + _MARGIN
-    width, height = np.ceil((high - low) * _RASTER).astype(int)
-    coarse = rng.normal(165, 12, (height // 40, width // 40))
-    table = np.clip(cv2.resize(coarse, (int(width), int(height)), interpolation=cv2.INTER_CUBIC), 0, 255).astype(
-        np.uint8
-    )
+    size = np.ceil((high - low) * _RASTER).astype(int).tolist()
+    coarse = rng.normal(165, 12, (size[1] // 40, size[0] // 40))
+    table = np.clip(cv2.resize(coarse, size, interpolation=cv2.INTER_CUBIC), 0, 255).astype(np.uint8)
+    side, paper = 600, 120
+    square = np.array([[0, 0], [side, 0], [side, side], [0, side]]) + paper - 0.5
     for each, corners in zip(layout.ids, layout.array, strict=True):
-        places = (corners - low) * _RASTER - 0.5
-        side = 600
         marker = cv2.aruco.generateImageMarker(dictionary_named(layout.dictionary), each, side)
-        sheet = np.pad(marker, side // 5, constant_values=235)
-        sheet[sheet < 50] = 25
-        sheet[sheet > 235] = 235
-        edge = side // 5 - 0.5
-        square = np.array([[edge, edge], [edge + side, edge], [edge + side, edge + side], [edge, edge + side]])
-        lay = cv2.getPerspectiveTransform(square.astype(np.float32), places.astype(np.float32))
-        cover = cv2.warpPerspective(np.full_like(sheet, 255), lay, (int(width), int(height)))
-        drawn = cv2.warpPerspective(sheet, lay, (int(width), int(height)), flags=cv2.INTER_AREA)
-        table = np.where(cover > 127, drawn, table)
+        sheet = np.pad(marker, paper, constant_values=235).clip(25, 235)
+        places = ((corners - low) * _RASTER - 0.5).astype(np.float32)
+        onto = cv2.getPerspectiveTransform(square.astype(np.float32), places)
+        cover = cv2.warpPerspective(np.full_like(sheet, 255), onto, size)
+        table = np.where(cover > 127, cv2.warpPerspective(sheet, onto, size, flags=cv2.INTER_AREA), table)
     return table, low
 
 
