@@ -33,36 +33,22 @@ _TRIES: Final = 2000
 
 @dataclass(frozen=True)
 class RopeCloud:
-    """A cloud of a rope.
+    """A cloud of a rope."""
 
-    Args:
-        points: ``(M, 3)`` metres, unordered.
-        curve: The axis from tip to tip, ``(P, 3)`` metres; that of a ring is closed without repeating the first point.
-        radius: Radius in metres.
-    """
-
-    points: Array
-    curve: Array
-    radius: float
+    points: Array  # (M, 3) metres, unordered
+    curve: Array  # the axis from tip to tip, (P, 3) metres; that of a ring is closed without repeating the first point
+    radius: float  # radius in metres
 
 
 @dataclass(frozen=True)
 class SheetCloud:
-    """A cloud of a bent sheet.
+    """A cloud of a bent sheet."""
 
-    Args:
-        points: ``(M, 3)`` metres, unordered.
-        size: Width and height of the flat sheet in metres.
-        bend: Turn from one side to the other in radians.
-        axis: Direction of the bend's axis in the flat sheet in radians.
-        place: Rotation and translation of the bent sheet, ``(3, 4)``.
-    """
-
-    points: Array
-    size: tuple[float, float]
-    bend: float
-    axis: float
-    place: Array
+    points: Array  # (M, 3) metres, unordered
+    size: tuple[float, float]  # width and height of the flat sheet in metres
+    bend: float  # turn from one side to the other in radians
+    axis: float  # direction of the bend's axis in the flat sheet in radians
+    place: Array  # rotation and translation of the bent sheet, (3, 4)
 
     def at(self, share: Array) -> Array:
         """Return points at shares of width (left to right) and height (top to bottom): (N, 2) -> (N, 3) metres."""

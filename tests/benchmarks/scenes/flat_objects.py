@@ -37,36 +37,22 @@ _HIDES: Final = 0.004  # metres: what is nearer by more lies over a point
 
 @dataclass(frozen=True)
 class FlatScene:
-    """One frame.
+    """One frame."""
 
-    Args:
-        space: ``(R, C, 3)`` metres, the material grid, camera frame.
-        points: ``(R, C, 2)`` its pixels.
-        hidden: ``(R, C)`` bool: something lies over the point, its back is turned to the camera, or it is out of sight.
-        mask: ``(H, W)`` uint8, 0 or 255.
-        depth: ``(H, W)`` float32 metres, 0 where nothing returns any.
-        shown: The share of the object that is seen.
-    """
-
-    space: Array
-    points: Array
-    hidden: Bools
-    mask: npt.NDArray[np.uint8]
-    depth: npt.NDArray[np.float32]
-    shown: float
+    space: Array  # (R, C, 3) metres, the material grid, camera frame
+    points: Array  # (R, C, 2) its pixels
+    hidden: Bools  # (R, C) bool: something lies over the point, its back is turned to the camera, or it is out of sight
+    mask: npt.NDArray[np.uint8]  # (H, W) uint8, 0 or 255
+    depth: npt.NDArray[np.float32]  # (H, W) float32 metres, 0 where nothing returns any
+    shown: float  # the share of the object that is seen
 
 
 @dataclass(frozen=True)
 class View:
-    """How the object is seen.
+    """How the object is seen."""
 
-    Args:
-        height: Rows of the image, in the aspect of 640 x 480.
-        wall: Whether a wall behind the object returns depth.
-    """
-
-    height: int = 480
-    wall: bool = True
+    height: int = 480  # rows of the image, in the aspect of 640 x 480
+    wall: bool = True  # whether a wall behind the object returns depth
 
     @property
     def intrinsics(self) -> Intrinsics:

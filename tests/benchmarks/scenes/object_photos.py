@@ -30,21 +30,13 @@ _SIMILAR: Final = 16.0  # the same for objects of similar colours
 
 @dataclass(frozen=True)
 class ObjectPhoto:
-    """A drawn photo.
+    """A drawn photo."""
 
-    Args:
-        rgb: ``(H, W, 3)`` uint8.
-        mask: ``(H, W)`` bool, where the object covers more than half of a pixel.
-        kind: What the object is.
-        ground: What it lies on.
-        similar: Whether another object has a similar colour.
-    """
-
-    rgb: npt.NDArray[np.uint8]
-    mask: npt.NDArray[np.bool_]
-    kind: Kind
-    ground: Ground
-    similar: bool
+    rgb: npt.NDArray[np.uint8]  # (H, W, 3) uint8
+    mask: npt.NDArray[np.bool_]  # (H, W) bool, where the object covers more than half of a pixel
+    kind: Kind  # what the object is
+    ground: Ground  # what it lies on
+    similar: bool  # whether another object has a similar colour
 
 
 def object_photos(count: int, seed: int) -> Iterator[ObjectPhoto]:

@@ -29,25 +29,16 @@ _BLUR: Final = 0.6  # blur of the lens in pixels
 _NOISE: Final = 3.0  # gray levels
 TABLE: Final = (200, 195, 185)
 TOP: Final = (30, 60, 200)
-FOOT: Final = (90, 90, 90)
-_THICK, _INSET = 0.001, 0.01  # metres
 
 
 @dataclass(frozen=True, eq=False)
 class MarkerScene:
-    """A table with markers in front of a camera.
+    """A table with markers in front of a camera."""
 
-    Args:
-        rgb: (480, 640, 3) uint8.
-        transform: ``(4, 4)``, metres: p_camera = T p_table.
-        intrinsics: Intrinsics of the camera.
-        layout: Positions of the markers on the table.
-    """
-
-    rgb: Image
-    transform: Array
-    intrinsics: Intrinsics
-    layout: MarkerLayout
+    rgb: Image  # (480, 640, 3) uint8
+    transform: Array  # (4, 4), metres: p_camera = T p_table
+    intrinsics: Intrinsics  # intrinsics of the camera
+    layout: MarkerLayout  # positions of the markers on the table
 
     def to_camera(self, points: Array) -> Array:
         """Convert ``(..., 2)`` metres on the table to ``(..., 3)`` metres, camera frame."""
@@ -135,20 +126,11 @@ def _table(layout: MarkerLayout, rng: np.random.Generator) -> tuple[Image, Array
 
 @dataclass(frozen=True)
 class Block:
-    """A thin lid on a foot that is smaller on all sides, on the table at z = 0.
+    """A thin lid above the table at z = 0: each edge is a jump in depth at the same position for every camera."""
 
-    From above, the upper half of its height shows only the lid, so that each edge of the lid is a jump in depth at the
-    same position for every camera.
-
-    Args:
-        centre: (x, y) of its footprint in metres, base frame.
-        size: The lid's edges along its x and y, and its height, in metres.
-        yaw: Rotation about the vertical in radians.
-    """
-
-    centre: tuple[float, float]
-    size: tuple[float, float, float]
-    yaw: float = 0.0
+    centre: tuple[float, float]  # (x, y) in metres, base frame
+    size: tuple[float, float, float]  # its edges along its x and y, and its height above the table, in metres
+    yaw: float = 0.0  # rotation about the vertical in radians
 
     @property
     def top_centre(self) -> Array:
@@ -157,15 +139,10 @@ class Block:
 
     def top_outline(self, n: int = 20) -> Array:
         """Return n points on each edge of the lid, (4 n, 3) metres, base frame; lenses bend edges."""
-        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2 * self.size[:2] @ self.rotation.T + self.centre
-        share = np.arange(n)[:, None] / n
-        edges = [a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
-        return np.column_stack([np.concatenate(edges), np.full(4 * n, self.size[2])])
-
-    @property
-    def rotation(self) -> Array:
-        """Rotation from block to base, ``(2, 2)``."""
-        return rotation(self.yaw)
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2 * self.size[:2] @ rotation(self.yaw).T
+        share, following = np.arange(n)[:, None] / n, np.roll(corners, -1, axis=0)
+        edges = corners[:, None] + share * (following - corners)[:, None] + self.centre
+        return np.column_stack([edges.reshape(-1, 2), np.full(4 * n, self.size[2])])
 
 
 def rows_of_blocks(rng: np.random.Generator) -> list[Block]:
@@ -183,43 +160,15 @@ def see(blocks: list[Block], camera: CameraModel) -> tuple[npt.NDArray[np.uint8]
     Returns:
         RGB, ``(H, W, 3)`` uint8, and depth along the optical axis, ``(H, W)`` metres.
     """
-    intrinsics = camera.intrinsics
-    height, width = intrinsics.size
-    rays = intrinsics.rays(np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1))
+    height, width = camera.intrinsics.size
     eye = camera.to_base(np.zeros(3))
+    rays = camera.intrinsics.rays(np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1))
     along = camera.to_base(rays) - eye  # rays have z = 1, so that their parameter is the depth
-    with np.errstate(divide="ignore"):
-        depth = np.where(along[..., 2] < 0, -eye[2] / along[..., 2], np.nan)
-    rgb = np.empty((height, width, 3), np.uint8)
-    rgb[:] = TABLE
+    down = np.where(along[..., 2] < 0, along[..., 2], np.nan)
+    rgb, depth = np.full((height, width, 3), TABLE, np.uint8), -eye[2] / down
     for block in blocks:
-        width, length, top = block.size
-        foot = width - 2 * _INSET, length - 2 * _INSET, top - _THICK
-        part = _window(block, camera)
-        for size, base, colour in (((width, length, _THICK), foot[2], TOP), (foot, 0.0, FOOT)):
-            enter = _hit(block, size, base, eye, along[part])
-            nearer = enter < depth[part]
-            depth[part][nearer] = enter[nearer]
-            rgb[part][nearer] = colour
+        enter = (block.size[2] - eye[2]) / down
+        at = (eye[:2] + enter[..., None] * along[..., :2] - block.centre) @ rotation(block.yaw)
+        lid = (np.abs(at) <= np.array(block.size[:2]) / 2).all(axis=-1) & (enter < depth)
+        rgb[lid], depth[lid] = TOP, enter[lid]
     return rgb, depth
-
-
-def _window(block: Block, camera: CameraModel) -> tuple[slice, slice]:
-    """Return the rows and columns in which a block may be visible."""
-    lid = block.top_outline()
-    pixels = camera.project_from_base(np.concatenate([lid, lid * (1, 1, 0)]))
-    (left, top), (right, bottom) = np.floor(pixels.min(axis=0)) - 1, np.ceil(pixels.max(axis=0)) + 2
-    return slice(max(int(top), 0), max(int(bottom), 0)), slice(max(int(left), 0), max(int(right), 0))
-
-
-def _hit(block: Block, size: tuple[float, float, float], base: float, eye: Array, along: Array) -> Array:
-    """Return where rays enter a box at the block's position, ``(...,)`` in ray lengths; inf where they miss."""
-    half = np.array(size) / 2
-    start, step = eye.copy(), along.copy()
-    start[:2] = (eye[:2] - block.centre) @ block.rotation
-    start[2] -= base + half[2]
-    step[..., :2] = along[..., :2] @ block.rotation
-    with np.errstate(divide="ignore", invalid="ignore"):
-        one, other = (-half - start) / step, (half - start) / step
-    enter, leave = np.minimum(one, other).max(axis=-1), np.maximum(one, other).min(axis=-1)
-    return np.where((enter < leave) & (enter > 0), enter, np.inf)
