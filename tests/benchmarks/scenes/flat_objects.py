@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from itertools import islice
 from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from shape_obs.bench.scenes import rotation, times
+from shape_obs.bench.scenes import rotation
 from shape_obs.camera import Intrinsics
 from shape_obs.compiled import compiled
 
@@ -108,7 +108,7 @@ def under_hand(
     steps = int(np.ceil(deep / (speed * scale)))
     comes, goes = np.linspace(0, 1, steps), np.linspace(1, 0, steps)
     inwards = np.concatenate([[-3, -2, -1], comes, np.ones(15), goes, [-1, -2, -3], -np.ones(12)])
-    for share, time in zip(inwards, pose.times(view, moving, len(inwards)), strict=True):
+    for share, time in zip(inwards, islice(pose.times(view, moving, len(inwards) + 1), 1, None), strict=True):
         spot, beyond = camera.project(pose.at(np.stack([target, target + 0.1 * way])[None], time)[0])
         ahead = (beyond - spot) / np.linalg.norm(beyond - spot)
         tip = spot + ahead * (width - deep * share if share >= 0 else 2 * width)
@@ -168,9 +168,15 @@ class _Pose:
 
     def times(self, view: View, speed: float, frames: int) -> Iterator[float]:
         """Yield the times of frames between which the border moves ``speed`` pixels of a 640 x 480 image at most."""
-        some = self.flat[[0, -1]][:, :: max(self.flat.shape[1] // 16, 1)]
-        pixels = partial(_projected, self, some, view.intrinsics)
-        return times(pixels, speed * view.height / 480, frames)
+        some, camera, time = self.flat[[0, -1]][:, :: max(self.flat.shape[1] // 16, 1)], view.intrinsics, 0.0
+        for _ in range(frames):
+            yield time
+            low, high, before = 0.0, 0.5 if speed else 0.0, camera.project(self.at(some, time))
+            for _ in range(12):
+                step = (low + high) / 2
+                far = np.linalg.norm(camera.project(self.at(some, time + step)) - before, axis=-1).max()
+                low, high = (low, step) if far > speed * view.height / 480 else (step, high)
+            time += low
 
     def _bent(self, points: Array, time: float) -> Array:
         if self.bend == "flat":
@@ -184,10 +190,6 @@ class _Pose:
         reach = float((self.flat @ way).max())
         most, radius, share = (np.radians(75), 0.05, 0.45) if self.bend == "corner up" else (np.pi, 0.008, 0.6)
         return _rolled(points, way, share * reach, radius, most * (1 - np.cos(0.9 * self.pace[5] * time)) / 2)
-
-
-def _projected(pose: _Pose, points: Array, camera: Intrinsics, time: float) -> Array:
-    return camera.project(pose.at(points, time))
 
 
 def _rolled(flat: Array, way: Array, begin: float, radius: float, most: float) -> Array:
