@@ -70,7 +70,7 @@ _stream("rope_lost_raises", Rope(seed=28), _line(), gone=(0, 1, 9, 10), argument
 _stream("rope_replaced", Rope(seed=29, length=0.3, jump=(0.12, 0.09, 0.0)), _line(), rate=15, frames=30,
         arguments={"max_speed": 1.0, "max_age": 0.3})  # fmt: skip
 _stream("rope_pixel_anchor", Rope(seed=30), _line(anchor=[5.0, 170.0]))
-_stream("rope_held", Rope(seed=31, turn=1.5), _line(anchor="hand"), grips={"hand": (0, _END)})
+_stream("rope_held", Rope(seed=31, turn=1.5), _line(anchor="hand"), grips={"hand": (0, _START)}, anchored=True)
 
 # Ropes with depth.
 _stream("rope_depth_mm", Rope(seed=40), _line(), depth="mm", wall=0.75)
@@ -88,7 +88,7 @@ _stream("rope_hand_on_middle", Rope(seed=48, tempo=3), _line(), hands=(Hand(_MID
 _stream("rope_hands_on_both", Rope(seed=49, turn=0.8), _line(), hands=(Hand(_START, 12, -0.8), Hand(_END, 12)),
         depth="mm", noise=0.05, frames=36, rate=20)  # fmt: skip
 _stream("rope_under_shadow", Rope(seed=50), _line(), hands=(Hand(45, 14, depth=0),), depth="mm", wall=0.73, frames=30)
-_stream("rope_border_in_space", Rope(seed=51, pitch=0.5, travel=(-0.2, 0.05, 0.1)), _line(spacing="m"), depth="m",
+_stream("rope_border_in_space", Rope(seed=51, pitch=0.5, travel=(-0.34, 0.05, 0.1)), _line(spacing="m"), depth="m",
         noise=0.05, frames=36)  # fmt: skip
 _stream("rope_known_length", Rope(seed=52, radius=0.008), _line(length=0.42, radius=0.008), depth="mm",
         hands=(Hand(_START, 20),), frames=30, arguments={"on_invalid": "interpolate"})  # fmt: skip
@@ -99,7 +99,7 @@ _stream("rope_lens", Rope(seed=54, wander=0.1), _line(spacing="m"), depth="m", c
 _stream("rope_lens_inverse", Rope(seed=255, wander=0.1), _line(radius=0.006), depth="mm", camera=camera_of(
     (180, 240), model="inverse_brown_conrady", coeffs=(-0.05, 0.06, -0.0005, 0.0007, -0.02)))  # fmt: skip
 _stream("rope_base_anchor", Rope(seed=56, turn=1.5), _line(anchor="gripper"), depth="m", transform=_ABOVE,
-        grips={"gripper": (0, _START)}, noise=0.05)  # fmt: skip
+        grips={"gripper": (0, _START)}, anchored=True, noise=0.05)  # fmt: skip
 _stream("rope_fit_in_space", Rope(seed=57, pitch=0.6), _line(lift="cloud"), depth="m", noise=0.06)
 _stream("rope_fit_in_space_hand", Rope(seed=58, tempo=3), _line(lift="cloud"), depth="mm", hands=(Hand(_END, 14),),
         frames=30)  # fmt: skip
@@ -118,7 +118,7 @@ _stream("ropes_all", [_APART[0], Rope(seed=68, length=0.3, middle=(0.35, 0.1, 0.
         _line(10, count="all"), frames=36)  # fmt: skip
 _stream("ropes_held", [Rope(seed=69, length=0.3, middle=(-0.03, -0.09, 0.7)), Rope(seed=70, length=0.3, angle=2.0,
         middle=(0.03, 0.1, 0.7))], _line(12, count=2, anchor={"centerline0": "a", "centerline1": "b"}), depth="m",
-        transform=_ABOVE, grips={"a": (0, _START), "b": (1, _END)})  # fmt: skip
+        transform=_ABOVE, grips={"a": (0, _START), "b": (1, _START)}, anchored=True)  # fmt: skip
 _stream("ropes_hand", list(_APART), _line(12, count=3), hands=(Hand(_END, 22),), depth="mm", wall=0.72, frames=30)
 _stream("ropes_coloured", [Rope(seed=71, bend=0.3, middle=(0, 0, 0.7)), Rope(seed=72, bend=0.3, angle=1.4,
         middle=(0, 0, 0.68))], _line(12, count=2), colours=(_BLUE, _GREEN), size=_SMALL, frames=16)  # fmt: skip
@@ -129,14 +129,14 @@ _stream("blob_swelling_10hz", Blob(seed=81, swell=0.4, tempo=4), _ring(24), rate
 _stream("blob_tilted_noisy", Blob(seed=82, tilt=(0.6, -0.3)), _ring(spacing="m"), depth="m", noise=0.06,
         size=_SMALL, frames=20)  # fmt: skip
 _stream("blob_hole", Blob(seed=83, hole=0.5, truth_hole=True), _ring(20, hole=0), clutter=0.1)
-_stream("blob_border", Blob(seed=84, travel=(0.2, 0.0, 0.0)), _ring(), frames=30)
+_stream("blob_border", Blob(seed=84, travel=(0.3, 0.0, 0.0)), _ring(), frames=30)
 _stream("blob_hand", Blob(seed=85, turn=0.8), _ring(), depth="mm", hands=(Hand(40, 22),), frames=36, wall=0.71)
 _stream("blob_cut", Blob(seed=86), _ring(), hands=(Hand(90, 18, depth=0),), frames=30)
 _stream("blob_star_image_order", Blob(seed=87, waves=(0.0, 0.05, 0.02, 0.3)), _ring(48), arguments={"order": "image"})
 _stream("band_hand", Blob(seed=88, hole=0.75, turn=0.6), _ring(ring=True), hands=(Hand(20, 14, depth=0),), frames=30)
 _stream("blob_fit_in_space", Blob(seed=89, tilt=(0.4, 0.5)), _ring(24, lift="cloud"), depth="mm", noise=0.04,
         size=_SMALL, frames=14)  # fmt: skip
-_stream("blob_lost", Blob(seed=90, turn=1.5), _ring(), gone=(7, 8, 9), rate=60, anchored=False)
+_stream("blob_lost", Blob(seed=90, turn=1.5), _ring(), gone=(7, 8, 9), rate=60)
 
 # Sheets.
 _stream("sheet_calm", Sheet(seed=100), _grid())
@@ -150,7 +150,7 @@ _stream("sheet_corner_hidden", Sheet(seed=103), _grid(), hands=(Hand(0, 20),), d
 _stream("sheet_corner_cut", Sheet(seed=104, turn=0.5), _grid(), hands=(Hand(12, 16, depth=0),), frames=30)
 _stream("sheet_inside_hidden", Sheet(seed=105), _grid(ends="tips"), hands=(Hand(84, 20, -0.8),), depth="mm", frames=30)
 _stream("sheet_epochs", Sheet(seed=106, shear=0.02), _grid(3, 6, epochs=2), rate=15)
-_stream("sheet_border", Sheet(seed=107, travel=(-0.16, 0.05, 0.0)), _grid(), frames=30)
+_stream("sheet_border", Sheet(seed=107, travel=(-0.27, 0.05, 0.0)), _grid(), frames=30)
 _stream("sheet_tilted", Sheet(seed=108, tilt=(0.7, 0.3)), _grid(4, 6), depth="mm", noise=0.06, holes=0.05,
         size=_SMALL)  # fmt: skip
 _stream("sheet_image_order", Sheet(seed=109, turn=2.5), _grid(), arguments={"order": "image"})
@@ -185,7 +185,7 @@ _stream("cloud_rope_gap", Rope(seed=132), _line(12), via="cloud", hands=(Hand(_M
 _stream("cloud_ring", Blob(seed=133, tilt=(0.3, 0.3)), _ring(24), via="cloud", tube=0.005, size=_SMALL, frames=16)
 _stream("cloud_sheet", Sheet(seed=134, roll=1.0), _grid(), via="cloud", cloud=2000, depth="m", frames=10)
 _stream("cloud_held", Rope(seed=135, turn=1.5), _line(anchor="tip"), via="cloud", transform=_ABOVE,
-        grips={"tip": (0, _END)}, depth="m")  # fmt: skip
+        grips={"tip": (0, _START)}, anchored=True, depth="m")  # fmt: skip
 
 # Pictures.
 _stream("image_rope", Rope(seed=140), _line(), via="image", colours=(_BLUE,), arguments={"segmentation": _HSV},

@@ -120,7 +120,7 @@ def _distances(
     points: Array, spec: Configuration, objects: list[Truth], frame: int, stream: Stream, unit: str
 ) -> list[tuple[Array, Array]]:
     """Return for each numbering of each object how far the points are off, ``(N,)`` px or mm, and which are hidden."""
-    in_space = spec.spacing == "m" or spec.lift == "cloud" or stream.via == "cloud"
+    in_space = spec.spacing == "m" or spec.lift == "cloud" or stream.clouds is not None
     metric = _METRES if in_space else _PIXELS
     away = []
     for truth in objects:

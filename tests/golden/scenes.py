@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, Literal, NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -17,7 +17,7 @@ from scipy.interpolate import LinearNDInterpolator
 from shape_obs import CameraModel, Intrinsics
 from shape_obs.bench.scenes import draw_blob, draw_sheet
 from tests.benchmarks.scenes.hidden_ropes import see
-from tests.golden.streams import Stream, Truth, Via
+from tests.golden.streams import Stream, Truth
 
 Array = npt.NDArray[Any]
 Triple = tuple[float, float, float]
@@ -27,7 +27,6 @@ _OUTLINE: Final = np.arange(360) * np.pi / 180  # of which the truth keeps every
 _SIDE: Final = 13  # points along a side of a sheet
 _HAND: Final = 0.08  # metres from a hand to the nearest object
 _KEPT: Final = 9  # pixels around the objects where noisy depth and noisy pictures are kept
-_BLUE: Final = (35, 60, 190)
 
 
 class Layer(NamedTuple):
@@ -38,6 +37,14 @@ class Layer(NamedTuple):
     pixels: Array
     metres: Array
     hidden: Array
+
+
+class Image(NamedTuple):
+    """One frame: whose each pixel is, -1 for none; its depth, 0 where nothing returns; whether a hand covers it."""
+
+    owner: Array
+    depth: Array
+    covered: Array
 
 
 class Thing(Protocol):
@@ -259,7 +266,7 @@ def draw(
     grips: dict[str, tuple[int, int]] | None = None,
     anchored: bool = False,
     clutter: float = 0.0,
-    via: Via = "mask",
+    via: Literal["mask", "image", "cloud"] = "mask",
     colours: tuple[Triple, ...] = (),
     cloud: int = 900,
     tube: float = 0.0,
@@ -300,69 +307,60 @@ def draw(
     shown = {"none": np.full(frames, np.nan), "stuck": times.copy()}.get(stamps, times)
     if stamps == "stuck":
         shown[[5, 6]], shown[12] = shown[4], shown[9]
+    in_space, clouds = bool(depth), via == "cloud"
     kept: dict[str, list[Array]] = {key: [] for key in ("masks", "depth", "rgb", "clouds")}
     layers: list[list[Layer]] = []
     for frame, t in enumerate(times):
         share = frame / max(frames - 1, 1)
         drawn = [thing.layer(float(t), share, camera) for thing in things]
-        covers = [hand.cover(drawn[0], share, camera.size) for hand in hands]
-        drawn, image = _composed(drawn, list(zip(hands, covers, strict=True)))
-        owner = image[0]
-        if frame in gone:
-            drawn = [each._replace(pixels=each.pixels * np.nan, metres=each.metres * np.nan) for each in drawn]
-            owner = np.full_like(owner, -1)
-            image = owner, np.zeros(camera.size), np.zeros(camera.size, bool)
+        covers = [(hand, hand.cover(drawn[0], share, camera.size)) for hand in hands]
+        drawn, image = _empty(drawn) if frame in gone else _composed(drawn, covers)
         layers.append(drawn)
-        near = cv2.dilate(((owner >= 0) | image[2]).astype(np.uint8), np.ones((_KEPT, _KEPT), np.uint8)) > 0
-        metres = np.where((image[1] == 0) & ~image[2], wall, image[1])
-        kept["depth"].append(_measured(rng, metres, near, camera, noise, holes))
-        kept["masks"].append(_cluttered(rng, owner >= 0, clutter))
+        mask = image.owner >= 0
+        near = cv2.dilate((mask | image.covered).astype(np.uint8), np.ones((_KEPT, _KEPT), np.uint8)) > 0
+        metres = np.where((image.depth == 0) & ~image.covered, wall, image.depth)
+        metres = _measured(rng, metres, near, camera, noise, holes)
+        kept["depth"].append(np.rint(metres * 1e3).astype(np.uint16) if depth == "mm" else metres.astype(np.float32))
+        kept["masks"].append(_cluttered(rng, mask, clutter))
         if colours:
-            kept["rgb"].append(_pictured(rng, owner, image[2], near, colours))
-        if via == "cloud":
-            points = _tube(rng, drawn[0], tube) if tube else _front(kept["depth"][-1], owner >= 0, camera)
+            kept["rgb"].append(_pictured(rng, image, near, colours))
+        if clouds:
+            points = _tube(rng, drawn[0], tube) if tube else _front(metres, mask, camera)
             kept["clouds"].append(_chosen(rng, points, cloud))
-    if depth == "mm":
-        kept["depth"] = [np.rint(each * 1e3).astype(np.uint16) for each in kept["depth"]]
-    truth = [
-        Truth(
-            shapes[min(k, len(shapes) - 1)].get("name", shapes[min(k, len(shapes) - 1)]["kind"]),
-            *(np.stack([getattr(frame[k], key) for frame in layers]) for key in ("pixels", "metres", "hidden")),
-        )
-        for k in range(len(things))
-    ]
-    model = CameraModel(camera, transform)
-    anchors = {
-        key: truth[k].pixels[:, i] if transform is None else model.to_base(truth[k].metres[:, i])
-        for key, (k, i) in (grips or {}).items()
-    }
-    # What the detector cannot know is not stored.
-    truth = [
-        each._replace(**({} if depth or tube else {"metres": each.metres * np.nan}), **blind)
-        for each in truth
-        for blind in [{"pixels": each.pixels * np.nan} if via == "cloud" else {}]
-    ]
+    model, truth, anchors = CameraModel(camera, transform), [], {}
+    for k in range(len(things)):
+        pixels, metres, hidden = (np.stack([getattr(frame[k], key) for frame in layers]) for key in Layer._fields[2:])
+        for key, (_, point) in filter(lambda grip: grip[1][0] == k, (grips or {}).items()):
+            anchors[key] = pixels[:, point] if transform is None else model.to_base(metres[:, point])
+        # What the detector cannot know is not stored.
+        pixels, metres = pixels * (np.nan if clouds else 1), metres * (1 if in_space or tube else np.nan)
+        spec = shapes[min(k, len(shapes) - 1)]
+        truth.append(Truth(spec.get("name", spec["kind"]), pixels, metres, hidden))
     given = {key: np.stack(each) for key, each in kept.items() if each}
     return Stream(
         name,
         {"shapes": shapes, **(arguments or {})},
-        via,
         shown,
         given["masks"] if via == "mask" else None,
-        given["depth"].astype(given["depth"].dtype if depth == "mm" else np.float32)
-        if depth and via != "cloud"
-        else None,
+        given["depth"] if in_space and not clouds else None,
         given.get("rgb"),
         given.get("clouds"),
-        model if (depth and via != "cloud") or transform is not None else None,
+        model if (in_space and not clouds) or transform is not None else None,
         anchors,
         tuple(truth),
         anchored,
     )
 
 
-def _composed(drawn: list[Layer], covers: list[tuple[Hand, Array]]) -> tuple[list[Layer], tuple[Array, Array, Array]]:
-    """Return the objects with what is hidden, and of the image: whose each pixel is, its depth, and what is covered."""
+def _empty(drawn: list[Layer]) -> tuple[list[Layer], Image]:
+    """Return a frame without the objects."""
+    size = drawn[0].mask.shape
+    gone = [each._replace(pixels=each.pixels * np.nan, metres=each.metres * np.nan) for each in drawn]
+    return gone, Image(np.full(size, -1), np.zeros(size), np.zeros(size, bool))
+
+
+def _composed(drawn: list[Layer], covers: list[tuple[Hand, Array]]) -> tuple[list[Layer], Image]:
+    """Lay objects over each other and hands over all of them; return the objects with what is hidden, and the image."""
     depths = np.stack([np.where(each.mask, each.depth, np.inf) for each in drawn])
     owner, depth = np.where(np.isfinite(depths).any(axis=0), depths.argmin(axis=0), -1), depths.min(axis=0)
     nearest, covered = min(float(depth.min()), 1.0), np.zeros(depth.shape, bool)
@@ -371,14 +369,12 @@ def _composed(drawn: list[Layer], covers: list[tuple[Hand, Array]]) -> tuple[lis
         covered |= cover
         depth[cover] = nearest - hand.depth if hand.depth else 0.0
     owner[covered] = -1
-    hidden = []
     for k, each in enumerate(drawn):
-        inside = ~each.hidden
-        u, v = np.rint(np.where(inside[:, None], each.pixels, 0)).astype(int).T
-        inside &= (u >= 0) & (v >= 0) & (u < owner.shape[1]) & (v < owner.shape[0])
-        u, v = u * inside, v * inside
-        hidden.append(each._replace(hidden=~(inside & ~covered[v, u] & ((owner[v, u] == k) | (owner[v, u] == -1)))))
-    return hidden, (owner, depth, covered)
+        u, v = np.rint(np.where(each.hidden[:, None], 0, each.pixels)).astype(int).T
+        u, v = u.clip(0, owner.shape[1] - 1), v.clip(0, owner.shape[0] - 1)  # of an outline on the border
+        under = covered[v, u] | ((owner[v, u] != k) & (owner[v, u] != -1))
+        drawn[k] = each._replace(hidden=each.hidden | under)
+    return drawn, Image(owner, depth, covered)
 
 
 def _measured(
@@ -405,15 +401,14 @@ def _cluttered(rng: np.random.Generator, mask: Array, share: float) -> Array:
     return out
 
 
-def _pictured(
-    rng: np.random.Generator, owner: Array, covered: Array, near: Array, colours: tuple[Triple, ...]
-) -> Array:
+def _pictured(rng: np.random.Generator, image: Image, near: Array, colours: tuple[Triple, ...]) -> Array:
     """Return a picture ``(H, W, 3)``: coloured objects and brown hands on a gray table, with light from the left."""
+    owner = image.owner
     light = np.linspace(1.1, 0.8, 8).repeat(-(-owner.shape[1] // 8))[: owner.shape[1], None]
     picture = np.full((*owner.shape, 3), 150.0)
     for k, colour in enumerate(colours):
         picture[owner == k] = colour
-    picture[covered] = (190, 140, 110)
+    picture[image.covered] = (190, 140, 110)
     picture = cv2.GaussianBlur(picture * light, (0, 0), 0.7)
     noise = np.round(rng.normal(0, 4, picture.shape) / 4) * 4 * near[..., None]
     return np.clip(np.rint(picture + noise), 0, 255).astype(np.uint8)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,6 @@ import numpy.typing as npt
 from shape_obs import CameraModel, Configuration, Detection, Intrinsics, ShapeDetector, ShapeLostError
 
 Array = npt.NDArray[Any]
-Via = Literal["mask", "image", "cloud"]
 
 DATA: Final = Path(__file__).parent / "data"
 EXPECTED: Final = Path(__file__).parent / "expected"
@@ -44,12 +43,11 @@ class Truth(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """F frames and the arguments of the detector that they are shown to.
+    """F frames and the arguments of the detector that they are shown to: as clouds, else masks, else images.
 
     Args:
         name: Of its files.
         arguments: The keyword arguments of ``ShapeDetector``, as JSON has them.
-        via: What the detector is given: a mask, an image (colour or depth or both) or a cloud.
         stamps: ``(F,)`` seconds; NaN for a frame without one.
         masks: ``(F, H, W)`` bool; None unless given.
         depth: ``(F, H, W)`` uint16 millimetres or float32 metres; None without depth.
@@ -63,7 +61,6 @@ class Stream:
 
     name: str
     arguments: dict[str, Any]
-    via: Via
     stamps: Array
     masks: Array | None = None
     depth: Array | None = None
@@ -200,7 +197,7 @@ def load_outcome(name: str) -> Outcome:
 
 def save_stream(stream: Stream) -> None:
     """Store a stream: masks as bits, depth and clouds in whole numbers, the truth in single precision."""
-    described: dict[str, Any] = {"arguments": stream.arguments, "via": stream.via, "anchored": stream.anchored}
+    described: dict[str, Any] = {"arguments": stream.arguments, "anchored": stream.anchored}
     described["truth"] = [each.shape for each in stream.truth]
     kept: dict[str, Any] = {"stamps": stream.stamps, **{f"anchor_{key}": at for key, at in stream.anchors.items()}}
     if stream.masks is not None:
@@ -251,7 +248,7 @@ def load_stream(name: str) -> Stream:
     ]
     anchors = {key.removeprefix("anchor_"): at for key, at in kept.items() if key.startswith("anchor_")}
     given = (kept["stamps"], masks, depth, kept.get("rgb"), clouds, camera, anchors, tuple(truth))
-    return Stream(name, described["arguments"], described["via"], *given, described["anchored"])
+    return Stream(name, described["arguments"], *given, described["anchored"])
 
 
 def _open(folder: Path, name: str) -> Any:

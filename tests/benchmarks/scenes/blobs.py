@@ -22,9 +22,13 @@ _MARGIN: Final = 8.0
 
 @dataclass(frozen=True)
 class Garment(Blob):
-    """A drawn garment."""
+    """A drawn garment.
 
-    corners: dict[str, Array] = field(default_factory=dict)  # its visible annotated keypoints: name -> (u, v)
+    Args:
+        corners: Its visible annotated keypoints: name -> (u, v).
+    """
+
+    corners: dict[str, Array] = field(default_factory=dict)
 
 
 def garments(path: str | Path, size: tuple[int, int] = SIZE) -> Iterator[Garment]:
