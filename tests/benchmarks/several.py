@@ -308,7 +308,8 @@ CLAIMS: Final = (
          "times thinning": of(median, "thinning")},
         total=True,
         limits=(
-            Limit("right [%]", at_least=97, unit="%", where={"ropes": "all"}), Limit("right [%]", at_least=90, unit="%"),
+            Limit("right [%]", at_least=97, unit="%", where={"ropes": "all"}),
+            Limit("right [%]", at_least=90, unit="%"),
             Limit("wrong [%]", at_most=1, unit="%", where={"ropes": "all"}),
             Limit("times thinning", at_most=2.0, unit="x", where={"ropes": 3},
                   known="pairing the strands takes as long again"),
