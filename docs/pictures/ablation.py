@@ -12,7 +12,7 @@ from shape_obs.ablation.report import draw_degradation
 from shape_obs.ablation.statistics import Interval
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "benchmarks" / "training.md"
+PAGE = ROOT / "docs" / "benchmarks" / "simulation.md"
 TITLE = "Percentage points lost under"
 
 

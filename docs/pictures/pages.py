@@ -13,7 +13,7 @@ from pathlib import Path
 MAIN = (
     "index", "start/five-minutes", "start/which-parts", "tutorials/first-vector", "how-to/index",
     "how-to/segment-by-clicking", "concepts/validity", "concepts/what-can-go-wrong", "reference/configuration",
-    "reference/cli/deploy", "reference/api/wrappers", "benchmarks/index", "benchmarks/table-1", "examples",
+    "reference/cli/deploy", "reference/api/wrappers", "benchmarks/index", "benchmarks/speed", "examples",
 )  # fmt: skip
 WIDTHS = {1400: "pre, .table-wrapper", 400: ""}
 WIDER = r"""selector => {

@@ -1,4 +1,4 @@
-"""Fill the page on the paper's Table I and draw its bars, from the folder of a run:
+"""Fill the tables of the paper's Table I on the page of speed and draw its bars, from the folder of a run:
 
 shape-obs bench table --frames 1000 --clock thread --out table
 uv run python docs/pictures/table.py table
@@ -17,10 +17,7 @@ from matplotlib.figure import Figure
 from shape_obs.bench.table import CONFIGURATIONS, LABELS, PAPER
 
 DOCS = Path(__file__).parent.parent
-PAGES = {
-    "table": DOCS / "benchmarks" / "table-1.md",
-    "details": DOCS / "benchmarks" / "table-1-configurations.md",
-}
+PAGE = DOCS / "benchmarks" / "speed.md"
 COLOURS = {"gmm": "#8c9db5", "fcm": "#b59a8c", "kmeans": "#9ab58c", "kohonen": "#b58cab", "som": "#1f6fb4"}
 HEADS = {
     "sc": "Silhouette (higher is better)",
@@ -30,19 +27,21 @@ HEADS = {
 
 
 def main(folder: Path) -> None:
-    """Fill the marked blocks of both pages, and draw the bars."""
+    """Fill the marked blocks of the page, and draw the bars."""
     machine, parts = (folder / "table.md").read_text(encoding="utf-8").split("\n\n## Centerline", 1)
     details, whole = parts.split("## All", 1)
-    blocks = {"table": f"{machine}\n\n### All three configurations{whole}", "details": f"## Centerline{details}"}
-    for name, page in PAGES.items():
-        text, count = re.subn(
+    blocks = {"table": f"{machine}\n\n#### All three configurations{whole}", "details": f"## Centerline{details}"}
+    blocks["details"] = re.sub("^##", "###", blocks["details"], flags=re.MULTILINE)
+    page = PAGE.read_text(encoding="utf-8")
+    for name in blocks:
+        page, count = re.subn(
             rf"(<!-- {name} -->\n).*?(<!-- end -->)",
             lambda found, block=blocks[name]: f"{found[1]}\n{block.strip()}\n\n{found[2]}",
-            page.read_text(encoding="utf-8"),
+            page,
             flags=re.DOTALL,
         )
-        assert count == 1, f"{page} has {count} places for the table"
-        page.write_text(text, encoding="utf-8")
+        assert count == 1, f"{PAGE} has {count} places for the {name}"
+    PAGE.write_text(page, encoding="utf-8")
     with (folder / "table.csv").open(encoding="utf-8") as file:
         draw_bars([*csv.DictReader(file)]).savefig(DOCS / "images" / "table_bars.png", dpi=105)
 

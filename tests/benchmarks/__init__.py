@@ -1,54 +1,29 @@
-"""Measure accuracy and speed against known truth: ``shape-obs bench``.
+"""Claims about accuracy and speed, measured against known truth: ``uv run python -m tests.benchmarks``.
 
-The options below are defined here so that a command can print its help without importing a measurement; and how drawn
-objects are detected: in one mask without a track, frame by frame, and at rest.
+Here is how drawn objects are detected: in one mask without a track, frame by frame, and at rest.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from itertools import starmap
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias, TypeVar, get_args
+from typing import Any, Final, Literal, TypeAlias, TypeVar, get_args
 
-if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
+import numpy as np
+import numpy.typing as npt
 
-    from shape_obs.configurations.base import Configuration
-    from shape_obs.detector import ShapeDetector
-    from shape_obs.shape import Detection, Shape
+from shape_obs.configurations.base import Configuration
+from shape_obs.detector import ShapeDetector
+from shape_obs.shape import Detection, Shape
 
 S = TypeVar("S")
-T = TypeVar("T")
-Mask: TypeAlias = "npt.NDArray[np.uint8]"
-Clock = Literal["wall", "thread"]
+Mask: TypeAlias = npt.NDArray[np.uint8]
 Env = Literal["Cable", "Ring", "Cloth", "Hanging"]
 ENVS: Final[tuple[Env, ...]] = get_args(Env)
-ServoEnv = Literal["Cable", "Ring", "Cloth", "Hanging", "Cables"]
-SERVO_ENVS: Final[tuple[ServoEnv, ...]] = get_args(ServoEnv)
-Difficulty = Literal["near", "middle", "far"]  # distance of a goal from the start
-Source = Literal["camera", "truth", "taught"]  # of the points in servoing
-FeatureSet = Literal[
-    "points3d", "points2d", "fourier", "bezier", "bspline", "tangents", "curvature", "turning_angles", "moments", "pca"
-]
 Size = tuple[int, int]  # (width, height) of an image, in pixels
-
-
-def run_tasks(work: Callable[..., T], tasks: Iterable[tuple[Any, ...]], jobs: int = 1) -> Iterator[T]:
-    """Call ``work(*task)`` for every task, in this process or in several ones, and yield the results as they come."""
-    if jobs == 1:
-        yield from starmap(work, tasks)
-    else:
-        from joblib import Parallel, delayed
-
-        workers: Any = Parallel(n_jobs=jobs, return_as="generator_unordered")
-        yield from workers(delayed(work)(*task) for task in tasks)
 
 
 def cold(spec: Configuration, mask: Mask) -> Shape:
     """Detect a shape in one mask, without a track."""
-    from shape_obs.detector import ShapeDetector
-
     return ShapeDetector([spec]).detect_mask(mask).shapes[0]
 
 
@@ -80,10 +55,6 @@ def at_rest(spec: Configuration, masks: Iterable[Mask]) -> tuple[list[Shape], np
     Returns:
         The shape in each mask, and the squared distances of its points from their mean positions, (frames, N) pixels.
     """
-    import numpy as np
-
-    from shape_obs.detector import ShapeDetector
-
     detector = ShapeDetector([spec])
     shapes = [detector.detect_mask(mask).shapes[0] for mask in masks]
     points = np.stack([shape.pixels for shape in shapes]).astype(np.float64)

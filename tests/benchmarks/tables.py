@@ -1,21 +1,12 @@
-"""Rows of results, rows that compare a result with its target, the printer of all tables, and a folder of parts.
-
-NumPy is imported in functions, so that commands print their help quickly.
-"""
+"""Rows of results, rows that compare a result with its target, and the printers of tables."""
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from itertools import chain
 from operator import attrgetter
-from pathlib import Path
 from typing import Any, TypeVar
 
-from shape_obs.utils.documents import read_json
-from shape_obs.utils.files import make_folder, write_text
+import numpy as np
 
 K = TypeVar("K", bound=Hashable)
 T = TypeVar("T")
@@ -111,8 +102,6 @@ def joined(statistic: Callable[[list[Any]], Any], field: str) -> Column:
 
 def mean(values: Iterable[float]) -> float | None:
     """Return the mean of the numbers that are not NaN, or None if there are none."""
-    import numpy as np
-
     known = [value for value in values if value == value]
     return float(np.mean(known)) if known else None
 
@@ -124,8 +113,6 @@ def worst(values: Iterable[float]) -> float | None:
 
 def median(values: Iterable[float | None]) -> float | None:
     """Return the median of the numbers that are known and finite, or None if there are none."""
-    import numpy as np
-
     known = [value for value in values if value is not None and np.isfinite(value)]
     return float(np.median(known)) if known else None
 
@@ -147,15 +134,6 @@ def as_markdown(rows: Sequence[Mapping[str, Any]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return rows as CSV: None and fields that a row does not have are empty cells, booleans are 1 and 0."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, dict.fromkeys(chain(*rows)), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({k: int(v) if isinstance(v, bool) else v for k, v in row.items()} for row in rows)
-    return text.getvalue()
-
-
 def _cell(value: Any, short: bool = False) -> str:
     if value is None:
         return "-"
@@ -164,50 +142,3 @@ def _cell(value: Any, short: bool = False) -> str:
     if short:
         return f"{value:.3g}" if abs(value) < 10 else f"{value:.0f}"
     return f"{value:.3f}"
-
-
-class Parts:
-    """The finished parts of a long measurement in a folder ``parts``, so that an interrupted run can continue.
-
-    Args:
-        folder: The folder that contains it; it is made if necessary.
-        settings: What determines the results. Parts that were made with other settings are refused.
-    """
-
-    def __init__(self, folder: Path, settings: Mapping[str, Any]) -> None:
-        self._folder, self._settings = folder / "parts", dict(settings)
-        make_folder(self._folder)
-
-    def read(self, name: str) -> list[Row] | None:
-        """Return the rows of a part, or None if it is not done.
-
-        Raises:
-            ValueError: The file is damaged, or was made with other settings.
-        """
-        path = self.path(name)
-        if not path.exists():
-            return None
-        document = read_json(path, "results")
-        try:
-            before, rows = dict(document["made_with"]), [Row(row) for row in document["rows"]]
-        except (KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"{path}: not the results of a run ({error!r}): remove it to make them again.") from error
-        for setting in {**before, **self._settings}:
-            old, new = before.get(setting), self._settings.get(setting)
-            if old != new:
-                raise ValueError(
-                    f"{path} holds results with {setting} = {old}, this run has {new}: choose another folder, or "
-                    "remove that one."
-                )
-        return rows
-
-    def write(self, name: str, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Write the rows of a part."""
-        path = self.path(name)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        document = {"made_with": self._settings, "rows": list(rows)}
-        write_text(path, json.dumps(document, default=lambda value: value.item()) + "\n")
-
-    def path(self, name: str) -> Path:
-        """Return the file of a part; its name may contain folders."""
-        return self._folder / f"{name}.json"
