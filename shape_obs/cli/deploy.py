@@ -154,7 +154,7 @@ class _Progress:
             self._views.append(page)
             print(f"shape-obs deploy: live view at {page.url}", file=sys.stderr)
         if args.rerun is not None:
-            from shape_obs.deploy.rerun_view import RerunView
+            from shape_obs.deploy.view import RerunView
 
             stream = open_rerun(args.rerun, args.log or Path("deploy"), "shape-obs deploy")
             self._views.append(RerunView(self._end.enter_context(stream).recording, env))

@@ -22,8 +22,7 @@ from shape_obs.shape import Shape
 from shape_obs.spec import Spec, SpecError
 from shape_obs.utils.documents import read_yaml
 from shape_obs.utils.files import write_text
-from shape_obs.wrappers.goal_points import goal_topology, resample, shape_at
-from shape_obs.wrappers.goals import find_shapes
+from shape_obs.wrappers.goals import find_shapes, goal_topology, resample, shape_at
 from shape_obs.wrappers.shape_observation import ShapeObservation
 
 GoalFrame = Literal["base", "camera", "pixels"]

@@ -18,7 +18,7 @@ from shape_obs.features import Feature, FeatureContext, FeatureVector, read_feat
 from shape_obs.servo import ShapeServo, geometric_weights, make_law
 from shape_obs.shape import Detection, Shape
 from shape_obs.wrappers import ShapeGoal, ShapeObservation, env_protocol, record_goal
-from shape_obs.wrappers.goal_points import shape_at
+from shape_obs.wrappers.goals import shape_at
 from tests.benchmarks.claim import Claim, Effort, Limit
 from tests.benchmarks.envs import DIFFICULTIES, held_actions, make_env
 from tests.benchmarks.tables import Column, Row, median, of, percent, worst

@@ -47,7 +47,7 @@ def test_steps_are_logged_to_rerun_with_shapes_actions_goals_and_decisions(tmp_p
     pytest.importorskip("rerun")
     from rerun_reading import points, read_rrd
 
-    from shape_obs.deploy.rerun_view import RerunView
+    from shape_obs.deploy.view import RerunView
     from shape_obs.drawing.rerun_stream import RerunStream
 
     env, *_ = cell()
@@ -77,7 +77,7 @@ def test_steps_are_logged_to_rerun_with_shapes_actions_goals_and_decisions(tmp_p
 
 def test_a_loop_goes_on_while_rerun_hangs(monkeypatch):
     pytest.importorskip("rerun")
-    from shape_obs.deploy.rerun_view import RerunView
+    from shape_obs.deploy.view import RerunView
 
     hang = threading.Event()
     env, *_ = cell()

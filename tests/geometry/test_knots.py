@@ -6,13 +6,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from drawn_knots import KNOTS, UNKNOTS, DrawnKnot, drawn_knot, with_heights
 from knot_oracles import bracket, closed_above, crossings_in_space, determinant
 
 from shape_obs.geometry.crossings import Crossing, format_code, gauss_code, gauss_codes
 from shape_obs.geometry.intersections import find_crossings
 from shape_obs.geometry.knot_diagram import ABOVE, BELOW, Diagram, is_planar, reduced, with_arc
 from shape_obs.geometry.knots import CIRCLE, are_hooked, is_knotted, jones_polynomial, lifts_off, product, reduced_code
-from tests.benchmarks.scenes.knots import KNOTS, UNKNOTS, DrawnKnot, drawn_knot, with_heights
 
 # Jones polynomials by exponents of t, up to a mirror image: V. F. R. Jones, "Hecke Algebra Representations of Braid
 # Groups", 1987; those of the composite knots are products. Determinants: KnotInfo.

@@ -10,15 +10,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from installed import needs
+from tuner_page import ARGUMENTS, chromium, serving
 
 from shape_obs import load_config, save_config
 from shape_obs.bench.scenes import draw_rope
 from shape_obs.cli import main
 
-pytest.importorskip("nicegui")
 sync_api = pytest.importorskip("playwright.sync_api")
-
-from tuner_page import ARGUMENTS, chromium, serving  # noqa: E402
+pytestmark = needs("nicegui")
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "real" / "blue_rope_640x480.png"
 CAMERA = Path(__file__).parents[1] / "support" / "tuner_camera.py"

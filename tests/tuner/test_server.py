@@ -13,12 +13,12 @@ import urllib.request
 import cv2
 import numpy as np
 import pytest
+from installed import needs
+from tuner_page import COMMAND, serving
 
 from shape_obs.cli import main
 
-pytest.importorskip("nicegui")
-
-from tuner_page import COMMAND, serving
+pytestmark = needs("nicegui")
 
 
 @pytest.fixture

@@ -15,9 +15,8 @@ import numpy.typing as npt
 from shape_obs.camera import CameraModel
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.robot import ActionSpec, RobotError
-from shape_obs_envs.robots.frame_publisher import Faults, FramePublisher, check_occluder
+from shape_obs_envs.robots.frame_publisher import Faults, FramePublisher, SimulationSpec, Started, check_occluder
 from shape_obs_envs.robots.null import checked_motion
-from shape_obs_envs.robots.shared_frames import SimulationSpec, Started
 from shape_obs_envs.robots.simulation_loop import Ramp, RealtimeSimulation
 from shape_obs_envs.robots.simulation_process import SimulationProcess
 from shape_obs_envs.sources.realsense import RealSenseSource, SoftwareD455

@@ -17,8 +17,7 @@ import numpy.typing as npt
 from shape_obs_envs.d455 import D455Camera, D455Model, Light
 from shape_obs_envs.mujoco.goal_env import ShapeGoalEnv
 from shape_obs_envs.mujoco.workspace import Workspace
-from shape_obs_envs.robots.frame_publisher import OccludingHand
-from shape_obs_envs.robots.shared_frames import Captured, Failed, SharedFrames, SimulationSpec, Started
+from shape_obs_envs.robots.frame_publisher import Captured, Failed, OccludingHand, SharedFrames, SimulationSpec, Started
 from shape_obs_envs.sources.registration import RawImages
 
 Array = npt.NDArray[np.float64]

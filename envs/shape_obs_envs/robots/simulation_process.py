@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from shape_obs.robot import RobotError
-from shape_obs_envs.robots.shared_frames import Captured, Failed, RawPair, SharedFrames, SimulationSpec, Started
+from shape_obs_envs.robots.frame_publisher import Captured, Failed, RawPair, SharedFrames, SimulationSpec, Started
 from shape_obs_envs.robots.simulation_loop import run_simulation
 
 #: Timeouts in seconds. A new process imports MuJoCo and compiles on its very first run.

@@ -22,13 +22,9 @@ _MARGIN: Final = 8.0
 
 @dataclass(frozen=True)
 class Garment(Blob):
-    """A drawn garment.
+    """A drawn garment."""
 
-    Args:
-        corners: Its visible annotated keypoints: name -> (u, v).
-    """
-
-    corners: dict[str, Array] = field(default_factory=dict)
+    corners: dict[str, Array] = field(default_factory=dict)  # its visible annotated keypoints: name -> (u, v)
 
 
 def garments(path: str | Path, size: tuple[int, int] = SIZE) -> Iterator[Garment]:

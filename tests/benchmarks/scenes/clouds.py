@@ -12,15 +12,17 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
-from shape_obs.bench.scenes import resample
+from shape_obs.bench.scenes import resample, times
 
 Array = npt.NDArray[np.float64]
 Side = Literal["all", "front"]
 
 NOISE: Final = 0.003  # metres, standard deviation in each direction
+_COUNT: Final = 6000  # points
 _STEP: Final = 0.002
-_HARMONICS: Final = 3
+_ORDERS: Final = np.arange(1, 4)  # of the harmonics of a rope's heading
 # In metres: the smallest distance between strands, whose clouds must not touch; the distance along the curve beyond
 # which points belong to different strands; and the radius of the tightest bend.
 _CLEAR: Final = 0.06
@@ -31,40 +33,34 @@ _TRIES: Final = 2000
 
 @dataclass(frozen=True)
 class RopeCloud:
-    """A cloud of a rope.
+    """A cloud of a rope."""
 
-    Args:
-        points: ``(M, 3)`` metres, unordered.
-        curve: The axis from tip to tip, ``(P, 3)`` metres; that of a ring is closed without repeating the first point.
-        radius: Radius in metres.
-    """
-
-    points: Array
-    curve: Array
-    radius: float
+    points: Array  # (M, 3) metres, unordered
+    curve: Array  # the axis from tip to tip, (P, 3) metres; that of a ring is closed without repeating the first point
+    radius: float  # radius in metres
 
 
 @dataclass(frozen=True)
 class SheetCloud:
-    """A cloud of a bent sheet.
+    """A cloud of a bent sheet."""
 
-    Args:
-        points: ``(M, 3)`` metres, unordered.
-        size: Width and height of the flat sheet in metres.
-        bend: Turn from one side to the other in radians.
-        axis: Direction of the bend's axis in the flat sheet in radians.
-        place: Rotation and translation of the bent sheet, ``(3, 4)``.
-    """
-
-    points: Array
-    size: tuple[float, float]
-    bend: float
-    axis: float
-    place: Array
+    points: Array  # (M, 3) metres, unordered
+    size: tuple[float, float]  # width and height of the flat sheet in metres
+    bend: float  # turn from one side to the other in radians
+    axis: float  # direction of the bend's axis in the flat sheet in radians
+    place: Array  # rotation and translation of the bent sheet, (3, 4)
 
     def at(self, share: Array) -> Array:
         """Return points at shares of width (left to right) and height (top to bottom): (N, 2) -> (N, 3) metres."""
-        return _bent(share, self.size, self.bend, self.axis) @ self.place[:, :3].T + self.place[:, 3]
+        flat = (share - 0.5) * self.size
+        direction = np.array([np.cos(self.axis), np.sin(self.axis)])
+        normal = np.array([-direction[1], direction[0]])
+        # The sheet is rolled about a cylinder whose axis lies in it, so that distances along it stay.
+        curvature = self.bend / float(np.abs(normal) @ self.size) + 1e-9
+        turn = curvature * (flat @ normal)
+        rolled = (flat @ direction)[:, None] * direction + (np.sin(turn) / curvature)[:, None] * normal
+        space = np.column_stack([rolled, (1 - np.cos(turn)) / curvature])
+        return space @ self.place[:, :3].T + self.place[:, 3]
 
     def lattice(self, rows: int, cols: int) -> Array:
         """Return a lattice up to the border, (rows*cols, 3) metres, row by row from the top left."""
@@ -73,30 +69,30 @@ class SheetCloud:
 
 
 def rope_cloud(
-    rng: np.random.Generator, *, count: int = 6000, noise: float = NOISE, holes: int = 3, side: Side = "all"
+    rng: np.random.Generator, *, count: int = _COUNT, noise: float = NOISE, holes: int = 3, side: Side = "all"
 ) -> RopeCloud:
     """Sample a rope of 0.4 to 1.2 m and 4 to 8 mm radius from all sides or from the origin, with holes and speckle."""
     radius = float(rng.uniform(0.004, 0.008))
     for _ in range(_TRIES):
-        curve = _place(_heading_curve(rng.uniform(0.4, 1.2), _amplitudes(rng)), rng)
+        curve = _placed(_heading_curve(rng.uniform(0.4, 1.2), _amplitudes(rng)), rng)
         if _is_clear(curve):
             return RopeCloud(_without(rng, _tube(rng, curve, radius, count, noise, side), curve, holes), curve, radius)
     raise RuntimeError("no rope found that keeps clear of itself.")
 
 
-def ring_cloud(rng: np.random.Generator, *, count: int = 6000, holes: int = 0) -> RopeCloud:
+def ring_cloud(rng: np.random.Generator, *, count: int = _COUNT, holes: int = 0) -> RopeCloud:
     """Sample a closed rope of 0.09 to 0.2 m radius, bent out of its plane."""
     radius = float(rng.uniform(0.004, 0.008))
     phase = np.arange(0, 2 * np.pi, 0.005)
     swing = sum(rng.normal(0, 0.12 / k) * np.cos(k * phase + rng.uniform(0, 2 * np.pi)) for k in (2, 3))
     height = sum(rng.normal(0, 0.2 / k) * np.cos(k * phase + rng.uniform(0, 2 * np.pi)) for k in (1, 2))
     flat = np.stack([np.cos(phase), np.sin(phase), height], axis=1) * (1 + np.asarray(swing))[:, None]
-    curve = _place(flat * rng.uniform(0.09, 0.2), rng, turn=np.pi / 4)
+    curve = _placed(flat * rng.uniform(0.09, 0.2), rng, turn=np.pi / 4)
     closed = np.concatenate([curve, curve[:1]])
     return RopeCloud(_without(rng, _tube(rng, closed, radius, count), closed, holes), curve, radius)
 
 
-def sheet_cloud(rng: np.random.Generator, *, count: int = 6000, bend: float = 1.2) -> SheetCloud:
+def sheet_cloud(rng: np.random.Generator, *, count: int = _COUNT, bend: float = 1.2) -> SheetCloud:
     """Sample a sheet of 0.2 to 0.4 m, bent by at most ``bend`` radians, with its front towards the camera."""
     size = (float(rng.uniform(0.3, 0.4)), float(rng.uniform(0.2, 0.28)))
     turn = _rotation(rng.uniform(-np.pi / 5, np.pi / 5, 3) * (1, 1, 0.3))
@@ -117,59 +113,46 @@ def moving_rope_cloud(rng: np.random.Generator, speed: float, frames: int = 180)
         middle = np.array([0, 0, 0.9]) + 0.12 * np.sin([0.7 * time, 0.5 * time, 0.6 * time] + phases)
         return (curve - curve.mean(axis=0)) @ _rotation(start + turn * time).T + middle
 
-    time, curve = 0.0, curve_at(0.0)
-    for _ in range(frames):
-        points = _tube(rng, curve, 0.006)
-        yield RopeCloud(_without(rng, points, curve, 2), curve, 0.006)
-        rate = float(np.linalg.norm(curve_at(time + 1e-3) - curve, axis=1).max()) / 1e-3
-        time += speed / rate
+    for time in times(curve_at, speed, frames):
         curve = curve_at(time)
+        yield RopeCloud(_without(rng, _tube(rng, curve, 0.006), curve, 2), curve, 0.006)
 
 
 def _amplitudes(rng: np.random.Generator) -> Array:
     """Draw amplitudes of yaw and pitch, (2, harmonics, 2): cosine and sine."""
-    return rng.normal(0, 1, (2, _HARMONICS, 2)) * 0.9 / np.arange(1, _HARMONICS + 1)[None, :, None]
+    return rng.normal(0, 1, (2, len(_ORDERS), 2)) * 0.9 / _ORDERS[None, :, None]
 
 
 def _heading_curve(length: float, amplitudes: Array) -> Array:
     """Return a curve whose heading swings along it, ``(P, 3)`` metres at even steps."""
     count = max(round(length / _STEP), 2)
-    along = np.linspace(0, 1, count)
-    order = np.pi * np.arange(1, _HARMONICS + 1)[:, None] * along
-    waves = np.stack([np.cos(order), np.sin(order)], axis=1)  # harmonic, phase, point
-    yaw, pitch = np.einsum("akp,kpn->an", amplitudes, waves)
-    pitch = 0.6 * pitch
-    heading = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], axis=1)
+    order = np.pi * _ORDERS[:, None] * np.linspace(0, 1, count)
+    yaw, pitch = np.einsum("akp,kpn->an", amplitudes, np.stack([np.cos(order), np.sin(order)], axis=1))
+    flat = np.cos(0.6 * pitch)
+    heading = np.stack([np.cos(yaw) * flat, np.sin(yaw) * flat, np.sin(0.6 * pitch)], axis=1)
     return np.concatenate([np.zeros((1, 3)), np.cumsum(heading[:-1], axis=0)]) * (length / (count - 1))
 
 
 def _is_clear(curve: Array) -> bool:
     """Return whether strands keep their distance and no bend is too tight."""
     pairs = KDTree(curve).query_pairs(_CLEAR, output_type="ndarray")
-    if np.any((pairs[:, 1] - pairs[:, 0]) * _STEP > _ALONG):
-        return False
-    heading = np.diff(curve, axis=0) / _STEP
-    return float(np.linalg.norm(np.diff(heading, axis=0), axis=1).max()) / _STEP < 1 / _BEND
+    bend = np.linalg.norm(np.diff(curve, n=2, axis=0), axis=1).max() / _STEP**2
+    return not np.any((pairs[:, 1] - pairs[:, 0]) * _STEP > _ALONG) and bool(bend < 1 / _BEND)
 
 
-def _place(curve: Array, rng: np.random.Generator, turn: float = np.pi) -> Array:
+def _placed(curve: Array, rng: np.random.Generator, turn: float = np.pi) -> Array:
     """Turn a curve at random and move it about a metre in front of the camera."""
-    return (
-        (curve - curve.mean(axis=0)) @ _rotation(rng.uniform(-turn, turn, 3)).T + rng.uniform(-0.1, 0.1, 3) + (0, 0, 1)
-    )
+    turned = (curve - curve.mean(axis=0)) @ _rotation(rng.uniform(-turn, turn, 3)).T
+    return turned + rng.uniform(-0.1, 0.1, 3) + (0, 0, 1)
 
 
 def _rotation(angles: Array) -> Array:
     """Return the rotation by angles about x, y and z, in radians."""
-    (a, b, c), (d, e, f) = np.cos(angles), np.sin(angles)
-    about_x = np.array([[1, 0, 0], [0, a, -d], [0, d, a]])
-    about_y = np.array([[b, 0, e], [0, 1, 0], [-e, 0, b]])
-    about_z = np.array([[c, -f, 0], [f, c, 0], [0, 0, 1]])
-    return about_z @ about_y @ about_x
+    return Rotation.from_euler("xyz", angles).as_matrix()
 
 
 def _tube(
-    rng: np.random.Generator, curve: Array, radius: float, count: int = 6000, noise: float = NOISE, side: Side = "all"
+    rng: np.random.Generator, curve: Array, radius: float, count: int = _COUNT, noise: float = NOISE, side: Side = "all"
 ) -> Array:
     """Sample a tube's surface: all of it, or the half that is visible from the origin, evenly in the image."""
     fine = resample(curve, _STEP / 4)
@@ -180,37 +163,20 @@ def _tube(
     towards = np.cross(across, tangent)
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     towards *= -np.sign(np.sum(towards * fine[at], axis=1))[:, None]
-    if side == "all":
-        angle = rng.uniform(0, 2 * np.pi, count)
-        x, z = np.cos(angle), np.sin(angle)
-    else:
-        x = rng.uniform(-1, 1, count)
-        z = np.sqrt(1 - x * x)
-    return fine[at] + radius * (x[:, None] * across + z[:, None] * towards) + rng.normal(0, noise, (count, 3))
+    angle = rng.uniform(0, 2 * np.pi, count) if side == "all" else np.arccos(rng.uniform(-1, 1, count))
+    offset = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * towards
+    return fine[at] + radius * offset + rng.normal(0, noise, (count, 3))
 
 
 def _without(rng: np.random.Generator, points: Array, curve: Array, holes: int) -> Array:
     """Remove stretches of 1 to 5 cm, at least 4 cm from the tips, and 20 specks of 4 to 8 mm radius."""
     fine = resample(curve, _STEP)
     arc = KDTree(fine).query(points)[1] * _STEP
-    length = len(fine) * _STEP
     keep = np.ones(len(points), bool)
     for _ in range(holes):
         size = rng.uniform(0.01, 0.05)
-        start = rng.uniform(0.04, max(length - 0.04 - size, 0.05))
+        start = rng.uniform(0.04, max(len(fine) * _STEP - 0.04 - size, 0.05))
         keep &= (arc < start) | (arc > start + size)
-    if holes:
-        for place in points[rng.integers(len(points), size=20)]:
-            keep &= np.linalg.norm(points - place, axis=1) > rng.uniform(0.004, 0.008)
+    for place in points[rng.integers(len(points), size=20 if holes else 0)]:
+        keep &= np.linalg.norm(points - place, axis=1) > rng.uniform(0.004, 0.008)
     return points[keep]
-
-
-def _bent(share: Array, size: tuple[float, float], bend: float, axis: float) -> Array:
-    """Roll a flat sheet about a cylinder whose axis lies in it, isometrically: ``(N, 3)`` metres."""
-    flat = (share - 0.5) * size
-    direction = np.array([np.cos(axis), np.sin(axis)])
-    normal = np.array([-direction[1], direction[0]])
-    along, across = flat @ direction, flat @ normal
-    curvature = bend / float(np.abs(normal) @ size) + 1e-9
-    rolled, height = np.sin(curvature * across) / curvature, (1 - np.cos(curvature * across)) / curvature
-    return np.column_stack([along[:, None] * direction + rolled[:, None] * normal, height])

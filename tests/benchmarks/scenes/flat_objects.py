@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
+from shape_obs.bench.scenes import rotation
 from shape_obs.camera import Intrinsics
 from shape_obs.compiled import compiled
 
@@ -34,36 +37,22 @@ _HIDES: Final = 0.004  # metres: what is nearer by more lies over a point
 
 @dataclass(frozen=True)
 class FlatScene:
-    """One frame.
+    """One frame."""
 
-    Args:
-        space: ``(R, C, 3)`` metres, the material grid, camera frame.
-        points: ``(R, C, 2)`` its pixels.
-        hidden: ``(R, C)`` bool: something lies over the point, its back is turned to the camera, or it is out of sight.
-        mask: ``(H, W)`` uint8, 0 or 255.
-        depth: ``(H, W)`` float32 metres, 0 where nothing returns any.
-        shown: The share of the object that is seen.
-    """
-
-    space: Array
-    points: Array
-    hidden: Bools
-    mask: npt.NDArray[np.uint8]
-    depth: npt.NDArray[np.float32]
-    shown: float
+    space: Array  # (R, C, 3) metres, the material grid, camera frame
+    points: Array  # (R, C, 2) its pixels
+    hidden: Bools  # (R, C) bool: something lies over the point, its back is turned to the camera, or it is out of sight
+    mask: npt.NDArray[np.uint8]  # (H, W) uint8, 0 or 255
+    depth: npt.NDArray[np.float32]  # (H, W) float32 metres, 0 where nothing returns any
+    shown: float  # the share of the object that is seen
 
 
 @dataclass(frozen=True)
 class View:
-    """How the object is seen.
+    """How the object is seen."""
 
-    Args:
-        height: Rows of the image, in the aspect of 640 x 480.
-        wall: Whether a wall behind the object returns depth.
-    """
-
-    height: int = 480
-    wall: bool = True
+    height: int = 480  # rows of the image, in the aspect of 640 x 480
+    wall: bool = True  # whether a wall behind the object returns depth
 
     @property
     def intrinsics(self) -> Intrinsics:
@@ -109,27 +98,21 @@ def under_hand(
         moving: The same of the object.
         level: Whether the object lies flat on a table under the camera: without depth, tilt looks like hiding.
     """
-    scale, closed = view.height / 480, len(flat) == _BAND[0]
-    pose = _Pose(
-        rng, tilt=0.0 if level else np.radians(15), lift=0.0 if level else 0.03, bend="flat" if level else None
-    )
+    scale, closed, camera = view.height / 480, len(flat) == _BAND[0], view.intrinsics
+    pose = _Pose(rng, flat, 0.0 if level else np.radians(15), 0.0 if level else 0.03, "flat" if level else "waving")
     border = flat[-1] if closed else flat[[0, 0, -1, -1], [0, -1, -1, 0]]
     at = int(rng.integers(len(border)))
     target = border[at] if place == "corner" or closed else (border[at] + border[(at + 1) % 4]) / 2
-    material = _mesh(flat, closed)
     way, width, deep = target / np.linalg.norm(target), rng.uniform(30, 60) * scale, rng.uniform(70, 120) * scale
-    way = np.array([[np.cos(a := rng.uniform(-0.5, 0.5)), -np.sin(a)], [np.sin(a), np.cos(a)]]) @ way
+    way = rotation(rng.uniform(-0.5, 0.5)) @ way
     steps = int(np.ceil(deep / (speed * scale)))
     comes, goes = np.linspace(0, 1, steps), np.linspace(1, 0, steps)
     inwards = np.concatenate([[-3, -2, -1], comes, np.ones(15), goes, [-1, -2, -3], -np.ones(12)])
-    clock = 0.0
-    for share in inwards:
-        clock = pose.after(clock, flat, view, moving * scale) if moving else clock
-        placed = pose.at(flat, clock)
-        spot, beyond = view.intrinsics.project(pose.at(np.stack([target, target + 0.1 * way])[None], clock)[0])
+    for share, time in zip(inwards, islice(pose.times(view, moving, len(inwards) + 1), 1, None), strict=True):
+        spot, beyond = camera.project(pose.at(np.stack([target, target + 0.1 * way])[None], time)[0])
         ahead = (beyond - spot) / np.linalg.norm(beyond - spot)
         tip = spot + ahead * (width - deep * share if share >= 0 else 2 * width)
-        yield _seen(placed, material, closed, view, (tip, ahead, width))
+        yield _seen(pose.at(flat, time), closed, view, (tip, ahead, width))
 
 
 def in_space(
@@ -145,12 +128,9 @@ def in_space(
         speed: Pixels of a 640 x 480 image per frame.
         frames: How many.
     """
-    closed = len(flat) == _BAND[0]
-    pose = _Pose(rng, tilt=np.radians(60 if motion == "tilted" else 25), lift=0.12, bend=motion)
-    material, time = _mesh(flat, closed), 0.0
-    for _ in range(frames):
-        yield _seen(pose.at(flat, time), material, closed, view, None)
-        time = pose.after(time, flat, view, speed * view.height / 480)
+    pose = _Pose(rng, flat, np.radians(60 if motion == "tilted" else 25), 0.12, motion)
+    for time in pose.times(view, speed, frames):
+        yield _seen(pose.at(flat, time), len(flat) == _BAND[0], view, None)
 
 
 def noisy_depth(scenes: Iterator[FlatScene], view: View, seed: int) -> Iterator[FlatScene]:
@@ -168,53 +148,52 @@ class _Pose:
     """A smooth motion: material points -> camera frame."""
 
     def __init__(
-        self, rng: np.random.Generator, tilt: float, lift: float, bend: Motion | Literal["flat"] | None = None
+        self, rng: np.random.Generator, flat: Array, tilt: float, lift: float, bend: Motion | Literal["flat", "waving"]
     ) -> None:
-        self.tilt, self.lift, self.bend = tilt, lift, bend
+        self.flat, self.tilt, self.lift, self.bend = flat, tilt, lift, bend
         self.phase, self.pace = rng.uniform(0, 2 * np.pi, 8), rng.uniform(0.5, 1.0, 8)
         self.spin, self.start = rng.uniform(0.1, 0.3) * rng.choice([-1, 1]), rng.uniform(-np.pi, np.pi)
         self.towards = rng.uniform(0, 2 * np.pi)
         self.corner = np.array([rng.choice([-1, 1]), rng.choice([-1, 1])])
 
-    def at(self, flat: Array, time: float) -> Array:
-        wave = np.sin(self.pace * time + self.phase)
-        space = self._bent(flat, time)
-        lean = self.tilt * (wave[0] if self.bend != "tilted" else (1 - np.cos(self.pace[0] * time)) / 2)
-        heading, spin = self.towards + 0.5 * time, self.start + self.spin * time
-        axis = np.array([np.cos(heading), np.sin(heading), 0.0])
-        turned = _rotated(_rotated(space, np.array([0.0, 0.0, 1.0]), spin), axis, lean)
+    def at(self, points: Array, time: float) -> Array:
+        """Return where material points are, (R, C, 2) -> (R, C, 3) metres."""
+        wave, sway = np.sin(self.pace * time + self.phase), (1 - np.cos(self.pace[0] * time)) / 2
+        heading = self.towards + 0.5 * time
+        lean = self.tilt * (sway if self.bend == "tilted" else wave[0])
+        turn = Rotation.from_rotvec([lean * np.cos(heading), lean * np.sin(heading), 0.0])
+        turn = (turn * Rotation.from_rotvec([0.0, 0.0, self.start + self.spin * time])).as_matrix()
         away = np.array([0.05 * wave[1], 0.035 * wave[2], _DISTANCE - self.lift * (0.5 + 0.5 * wave[3])])
-        return turned + away
+        return self._bent(points, time) @ turn.T + away
 
-    def _bent(self, flat: Array, time: float) -> Array:
+    def times(self, view: View, speed: float, frames: int) -> Iterator[float]:
+        """Yield the times of frames between which the border moves ``speed`` pixels of a 640 x 480 image at most."""
+        some, camera, time = self.flat[[0, -1]][:, :: max(self.flat.shape[1] // 16, 1)], view.intrinsics, 0.0
+        for _ in range(frames):
+            yield time
+            low, high, before = 0.0, 0.5 if speed else 0.0, camera.project(self.at(some, time))
+            for _ in range(12):
+                step = (low + high) / 2
+                far = np.linalg.norm(camera.project(self.at(some, time + step)) - before, axis=-1).max()
+                low, high = (low, step) if far > speed * view.height / 480 else (step, high)
+            time += low
+
+    def _bent(self, points: Array, time: float) -> Array:
         if self.bend == "flat":
-            return np.concatenate([flat, np.zeros((*flat.shape[:2], 1))], axis=-1)
+            return np.concatenate([points, np.zeros((*points.shape[:2], 1))], axis=-1)
         if self.bend not in ("corner up", "folded"):
             way, bend = np.array([np.cos(self.towards), np.sin(self.towards)]), 1.5 * np.sin(self.pace[4] * time)
-            halves = [_rolled(flat, side * way, 0.0, 1 / max(abs(bend), 1e-3), np.pi) for side in (1, -1)]
-            space = np.where((flat @ way > 0)[..., None], *halves)
-            return space * (1, 1, np.sign(bend))
-        corners = self.corner * np.abs(flat[-1, -1]) if len(flat) != _BAND[0] else flat[-1, 20]
-        way = corners / np.linalg.norm(corners)
-        reach = float((flat @ way).max())
+            halves = [_rolled(points, side * way, 0.0, 1 / max(abs(bend), 1e-3), np.pi) for side in (1, -1)]
+            return np.where((points @ way > 0)[..., None], *halves) * (1, 1, np.sign(bend))
+        corner = self.corner * np.abs(self.flat[-1, -1]) if len(self.flat) != _BAND[0] else self.flat[-1, 20]
+        way = corner / np.linalg.norm(corner)
+        reach = float((self.flat @ way).max())
         most, radius, share = (np.radians(75), 0.05, 0.45) if self.bend == "corner up" else (np.pi, 0.008, 0.6)
-        return _rolled(flat, way, share * reach, radius, most * (1 - np.cos(0.9 * self.pace[5] * time)) / 2)
-
-    def after(self, time: float, flat: Array, view: View, speed: float) -> float:
-        """Return the next time at which some point has moved ``speed`` pixels."""
-        some = flat[[0, -1]][:, :: max(flat.shape[1] // 16, 1)]
-        camera, low, high = view.intrinsics, 0.0, 0.5
-        before = camera.project(self.at(some, time))
-        for _ in range(12):
-            step = (low + high) / 2
-            far = np.linalg.norm(camera.project(self.at(some, time + step)) - before, axis=-1).max()
-            low, high = (low, step) if far > speed else (step, high)
-        return time + low
+        return _rolled(points, way, share * reach, radius, most * (1 - np.cos(0.9 * self.pace[5] * time)) / 2)
 
 
 def _rolled(flat: Array, way: Array, begin: float, radius: float, most: float) -> Array:
     """Roll a plane about a cylinder, towards the camera, where it goes beyond ``begin`` along ``way``; (..., 3)."""
-    way = way / np.linalg.norm(way)
     along = flat @ way
     over = np.maximum(along - begin, 0.0)
     angle = np.minimum(over / radius, most)
@@ -225,44 +204,30 @@ def _rolled(flat: Array, way: Array, begin: float, radius: float, most: float) -
     return np.concatenate([moved, -up[..., None]], axis=-1)
 
 
-def _rotated(points: Array, axis: Array, angle: float) -> Array:
-    """Rotate points about an axis (O. Rodrigues, 1840)."""
-    cosine, sine = np.cos(angle), np.sin(angle)
-    return points * cosine + np.cross(axis, points) * sine + axis * (points @ axis)[..., None] * (1 - cosine)
-
-
-def _mesh(flat: Array, closed: bool) -> npt.NDArray[np.int64]:
-    """Return the triangles of a grid, ``(T, 3)``; one that is closed joins its last column to the first."""
-    rows, cols = flat.shape[:2]
-    row, col = np.meshgrid(np.arange(rows - 1), np.arange(cols if closed else cols - 1), indexing="ij")
-    a, b = row * cols + col, row * cols + (col + 1) % cols
-    return np.concatenate([np.stack([a, b, a + cols], -1), np.stack([b, b + cols, a + cols], -1)]).reshape(-1, 3)
-
-
-def _seen(
-    space: Array, triangles: npt.NDArray[np.int64], closed: bool, view: View, hand: tuple[Array, Array, float] | None
-) -> FlatScene:
-    """Draw a frame; a hand is its tip and direction in pixels and its half width."""
-    camera, flat = view.intrinsics, np.ascontiguousarray(space.reshape(-1, 3))
+def _seen(space: Array, closed: bool, view: View, hand: tuple[Array, Array, float] | None) -> FlatScene:
+    """Draw a frame of a grid, whose last column joins the first if it is closed; a hand is its tip, way and width."""
+    camera, shape = view.intrinsics, space.shape[:2]
+    flat = np.ascontiguousarray(space.reshape(-1, 3))
+    row, col = np.meshgrid(np.arange(shape[0] - 1), np.arange(shape[1] - (not closed)), indexing="ij")
+    a, b = row * shape[1] + col, row * shape[1] + (col + 1) % shape[1]
+    halves = np.stack([a, b, a + shape[1]], -1), np.stack([b, b + shape[1], a + shape[1]], -1)
     pixels = camera.project(flat)
-    buffer = _rasterised(pixels, 1 / flat[:, 2], triangles, camera.height, camera.width)
+    buffer = _rasterised(pixels, 1 / flat[:, 2], np.concatenate(halves).reshape(-1, 3), camera.height, camera.width)
     drawn = buffer > 0
     depth = np.where(drawn, 1 / np.maximum(buffer, 1e-9), _WALL if view.wall else 0.0)
-    over, whole = np.zeros_like(drawn), np.count_nonzero(drawn)
+    over = np.zeros_like(drawn)
     if hand is not None:
         tip, ahead, width = hand
         v, u = np.mgrid[: camera.height, : camera.width]
-        along = (u - tip[0]) * ahead[0] + (v - tip[1]) * ahead[1]
-        aside = np.hypot(u - tip[0] - np.maximum(along, 0) * ahead[0], v - tip[1] - np.maximum(along, 0) * ahead[1])
-        over = aside <= width
+        along = np.maximum((u - tip[0]) * ahead[0] + (v - tip[1]) * ahead[1], 0)
+        over = np.hypot(u - tip[0] - along * ahead[0], v - tip[1] - along * ahead[1]) <= width
         depth[over] = float(flat[:, 2].min()) - _HAND_ABOVE
     column, row = np.rint(np.nan_to_num(pixels, nan=-1)).astype(int).T
     inside = (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
     column, row = column.clip(0, camera.width - 1), row.clip(0, camera.height - 1)
     hidden = ~inside | over[row, column] | (drawn[row, column] & (depth[row, column] < flat[:, 2] - _HIDES))
     mask = np.where(drawn & ~over, np.uint8(255), np.uint8(0))
-    shown = np.count_nonzero(mask) / max(whole, 1) * float(np.mean(inside))
-    shape = space.shape[:2]
+    shown = np.count_nonzero(mask) / max(np.count_nonzero(drawn), 1) * float(np.mean(inside))
     down, right = np.asarray(np.gradient(pixels.reshape(*shape, 2), axis=(0, 1)))
     turned = (right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0]).ravel() < 0
     hidden |= turned != (np.mean(turned) > 0.5)  # its back is seen, as that of a folded corner

@@ -39,17 +39,11 @@ _BEHIND: Final = 0.3  # metres from the farthest point of a rope in space to the
 
 
 class Hidden(NamedTuple):
-    """One frame of a rope under a hand.
+    """One frame of a rope under a hand."""
 
-    Args:
-        rope: The rope with its whole mask.
-        mask: The visible part of the mask, ``(H, W)`` uint8.
-        share: Covered share of the rope's length.
-    """
-
-    rope: Rope
-    mask: Mask
-    share: float
+    rope: Rope  # the rope with its whole mask
+    mask: Mask  # the visible part of the mask, (H, W) uint8
+    share: float  # covered share of the rope's length
 
 
 def hidden_rope(
@@ -76,23 +70,15 @@ def hidden_rope(
 
 
 class Seen(NamedTuple):
-    """One frame of a rope with depth.
+    """One frame of a rope with depth."""
 
-    Args:
-        pixels: ``(P, 2)`` its axis from tip to tip at equal steps of material.
-        metres: ``(P, 3)`` the same on the visible surface, on the viewing rays of the axis, camera frame.
-        shown: ``(P,)`` bool: in sight, neither hidden, by something or the rope itself, nor outside the image.
-        mask: ``(H, W)`` uint8, 0 or 255.
-        depth: ``(H, W)`` float32 metres, 0 where nothing is measured.
-        camera: The projection.
-    """
-
-    pixels: Array
-    metres: Array
+    pixels: Array  # (P, 2) its axis from tip to tip at equal steps of material
+    metres: Array  # (P, 3) the same on the visible surface, on the viewing rays of the axis, camera frame
+    # (P,) bool: in sight, neither hidden, by something or the rope itself, nor outside the image
     shown: npt.NDArray[np.bool_]
-    mask: Mask
-    depth: Depth
-    camera: Intrinsics
+    mask: Mask  # (H, W) uint8, 0 or 255
+    depth: Depth  # (H, W) float32 metres, 0 where nothing is measured
+    camera: Intrinsics  # the projection
 
 
 def camera_of(size: tuple[int, int]) -> Intrinsics:
@@ -154,19 +140,13 @@ def hidden_ropes(
 
 
 class _Hiding(NamedTuple):
-    """What hides a rope in a frame.
+    """What hides a rope in a frame."""
 
-    Args:
-        hidden: Share of the rope that a hand or the border hides.
-        past: Whether it has passed the rope.
-        covers: Whether it covers points: (..., 2) pixels of an image 640 wide -> (...) bool; None for nothing.
-        slid: How far the rope has slid to the right in pixels.
-    """
-
-    hidden: float = 0.0
-    past: bool = False
+    hidden: float = 0.0  # share of the rope that a hand or the border hides
+    past: bool = False  # whether it has passed the rope
+    # whether it covers points: (..., 2) pixels of an image 640 wide -> (...) bool; None for nothing
     covers: Callable[[Array], npt.NDArray[np.bool_]] | None = None
-    slid: float = 0.0
+    slid: float = 0.0  # how far the rope has slid to the right in pixels
 
 
 _Hider = Callable[[Array, float], _Hiding]  # takes the rope's axis and how far something has come, in pixels

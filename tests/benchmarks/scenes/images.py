@@ -42,34 +42,21 @@ def ragged(rng: np.random.Generator, mask: Mask, depth: float) -> Mask:
 
 @dataclass(frozen=True)
 class TiltedRope:
-    """A rope seen at a slant.
+    """A rope seen at a slant."""
 
-    Args:
-        mask: (480, 640) uint8.
-        depth: (480, 640) metres, 0 = invalid.
-        curve: ``(P, 3)`` metres, camera frame.
-        hairpin: Whether a bend is narrower than a gap of 20 points, so that equal chords leave the rope.
-    """
-
-    mask: Mask
-    depth: Array
-    curve: Array
-    hairpin: bool
+    mask: Mask  # (480, 640) uint8
+    depth: Array  # (480, 640) metres, 0 = invalid
+    curve: Array  # (P, 3) metres, camera frame
+    hairpin: bool  # whether a bend is narrower than a gap of 20 points, so that equal chords leave the rope
 
 
 @dataclass(frozen=True)
 class TiltedSheet:
-    """A sheet of 0.36 x 0.24 m seen at a slant.
+    """A sheet of 0.36 x 0.24 m seen at a slant."""
 
-    Args:
-        mask: (480, 640) uint8.
-        depth: (480, 640) metres, 0 = invalid.
-        corners: ``(4, 3)`` metres, camera frame: top left, top right, bottom right, bottom left.
-    """
-
-    mask: Mask
-    depth: Array
-    corners: Array
+    mask: Mask  # (480, 640) uint8
+    depth: Array  # (480, 640) metres, 0 = invalid
+    corners: Array  # (4, 3) metres, camera frame: top left, top right, bottom right, bottom left
 
     def lattice(self, rows: int, cols: int) -> Array:
         """Return a lattice up to the border, (rows*cols, 3) metres, row by row from the top left."""

@@ -35,23 +35,14 @@ _BEYOND: Final = 3.0
 
 @dataclass(frozen=True)
 class Table:
-    """How ropes lie on a table.
+    """How ropes lie on a table."""
 
-    Args:
-        size: ``(H, W)`` of the image.
-        width: Thickness of the ropes in pixels.
-        leaving: Probability that a rope may leave the image.
-        smallest_angle: The smallest angle of crossings, in radians.
-        narrowest: The smallest inner radius of loops, in widths.
-        apart: The smallest distance of crossings, in widths.
-    """
-
-    size: tuple[int, int]
-    width: float
-    leaving: float = 0.0
-    smallest_angle: float = np.pi / 12
-    narrowest: float = 2.0
-    apart: float = 2.0
+    size: tuple[int, int]  # (H, W) of the image
+    width: float  # thickness of the ropes in pixels
+    leaving: float = 0.0  # probability that a rope may leave the image
+    smallest_angle: float = np.pi / 12  # the smallest angle of crossings, in radians
+    narrowest: float = 2.0  # the smallest inner radius of loops, in widths
+    apart: float = 2.0  # the smallest distance of crossings, in widths
 
     def depth(self, points: Curve) -> npt.NDArray[np.float64]:
         """Return the distance of points from the image's border, ``(P,)`` pixels, negative outside."""

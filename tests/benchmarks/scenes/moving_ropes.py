@@ -33,24 +33,17 @@ _LIGHT: Final = np.array([-0.35, -0.3, 0.89])
 
 @dataclass(frozen=True)
 class Moment:
-    """One frame of moving ropes.
+    """One frame of moving ropes."""
 
-    Args:
-        curves: The axis of each rope, ``(P, 2)`` pixels at steps of a pixel; point i of a rope is the same material
-            point in every frame.
-        widths: Thickness of each rope in pixels.
-        visible: For each rope, which points lie inside the image and not under the hand, ``(P,)`` bool.
-        mask: The visible ropes, ``(H, W)`` uint8, 0 or 255.
-        hand: What the hand covers, ``(H, W)`` bool.
-        rgb: ``(H, W, 3)`` uint8, or None if pictures are not drawn.
-    """
-
+    # the axis of each rope, (P, 2) pixels at steps of a pixel; point i of a rope is the same material point in every
+    # frame
     curves: tuple[Curve, ...]
-    widths: tuple[float, ...]
+    widths: tuple[float, ...]  # thickness of each rope in pixels
+    # for each rope, which points lie inside the image and not under the hand, (P,) bool
     visible: tuple[npt.NDArray[np.bool_], ...]
-    mask: npt.NDArray[np.uint8]
-    hand: npt.NDArray[np.bool_]
-    rgb: npt.NDArray[np.uint8] | None
+    mask: npt.NDArray[np.uint8]  # the visible ropes, (H, W) uint8, 0 or 255
+    hand: npt.NDArray[np.bool_]  # what the hand covers, (H, W) bool
+    rgb: npt.NDArray[np.uint8] | None  # (H, W, 3) uint8, or None if pictures are not drawn
 
 
 def moving_ropes(

@@ -30,21 +30,13 @@ _SIMILAR: Final = 16.0  # the same for objects of similar colours
 
 @dataclass(frozen=True)
 class ObjectPhoto:
-    """A drawn photo.
+    """A drawn photo."""
 
-    Args:
-        rgb: ``(H, W, 3)`` uint8.
-        mask: ``(H, W)`` bool, where the object covers more than half of a pixel.
-        kind: What the object is.
-        ground: What it lies on.
-        similar: Whether another object has a similar colour.
-    """
-
-    rgb: npt.NDArray[np.uint8]
-    mask: npt.NDArray[np.bool_]
-    kind: Kind
-    ground: Ground
-    similar: bool
+    rgb: npt.NDArray[np.uint8]  # (H, W, 3) uint8
+    mask: npt.NDArray[np.bool_]  # (H, W) bool, where the object covers more than half of a pixel
+    kind: Kind  # what the object is
+    ground: Ground  # what it lies on
+    similar: bool  # whether another object has a similar colour
 
 
 def object_photos(count: int, seed: int) -> Iterator[ObjectPhoto]:
@@ -79,7 +71,7 @@ def object_photo(rng: np.random.Generator, kind: Kind, ground: Ground) -> Object
 
 def _strands(rng: np.random.Generator, kind: Kind, light: Array) -> Relief:
     """Return one to five ropes or wires that cross; the first is the object."""
-    laid = None
+    laid, thick, count = None, 0.0, 0
     while laid is None:
         thick, most = (float(rng.uniform(9, 24)), 4) if kind == "rope" else (float(rng.uniform(3.5, 9)), 6)
         count = int(rng.integers(1, most))
@@ -92,7 +84,7 @@ def _strands(rng: np.random.Generator, kind: Kind, light: Array) -> Relief:
 
 def _harness(rng: np.random.Generator, kind: Kind, light: Array) -> Relief:
     """Return three to seven wires that run side by side and fan out at both ends."""
-    laid = None
+    laid, thick = None, 0.0
     while laid is None:
         thick = float(rng.uniform(3.5, 7))
         laid = lay_ropes(rng, 1, 0, Table(SIZE, 4 * thick, 0.3, np.deg2rad(20), 4.0))
@@ -235,7 +227,8 @@ def _ground(rng: np.random.Generator, ground: Ground, size: tuple[int, int]) -> 
         for _ in range(int(rng.integers(3, 9))):  # papers, boxes and discs of any colour
             centre, colour = rng.uniform((0, 0), size[::-1]), rng.uniform(15, 245, 3).tolist()
             if rng.integers(3):
-                box = cv2.boxPoints((centre.tolist(), rng.uniform(0.05, 0.3, 2) * size[1], float(rng.uniform(0, 180))))
+                sides = (rng.uniform(0.05, 0.3, 2) * size[1]).tolist()
+                box = cv2.boxPoints((centre.tolist(), sides, float(rng.uniform(0, 180))))
                 cv2.fillPoly(picture, [np.round(box).astype(np.int32)], colour, cv2.LINE_AA)
             else:
                 cv2.circle(picture, centre.astype(int).tolist(), int(rng.uniform(0.02, 0.1) * size[1]), colour, -1)

@@ -27,47 +27,30 @@ _NOISE: Final = 3.0  # gray levels
 
 
 class Crossing(NamedTuple):
-    """Two strands, of two ropes or of one, that lie over each other.
+    """Two strands, of two ropes or of one, that lie over each other."""
 
-    Args:
-        first: Index of a rope.
-        first_at: Arc position along it, in pixels.
-        second: Index of the other rope, or of the same.
-        second_at: Arc position along it, in pixels.
-        place: ``(2,)`` pixels.
-        first_above: Whether the first strand is on top.
-        angle: The acute angle between the strands, in radians.
-    """
-
-    first: int
-    first_at: float
-    second: int
-    second_at: float
-    place: Curve
-    first_above: bool
-    angle: float
+    first: int  # index of a rope
+    first_at: float  # arc position along it, in pixels
+    second: int  # index of the other rope, or of the same
+    second_at: float  # arc position along it, in pixels
+    place: Curve  # (2,) pixels
+    first_above: bool  # whether the first strand is on top
+    angle: float  # the acute angle between the strands, in radians
 
 
 @dataclass(frozen=True)
 class RopeScene:
-    """Drawn ropes with their truth, in no particular order.
+    """Drawn ropes with their truth, in no particular order."""
 
-    Args:
-        curves: The axis of each rope from tip to tip, ``(P, 2)`` pixels, at steps of about a pixel. Where a rope leaves
-            the image the axis goes on for a few widths.
-        widths: Thickness of each rope in pixels.
-        mask: ``(H, W)`` uint8, 0 or 255.
-        rgb: ``(H, W, 3)`` uint8.
-        crossings: Those inside the image.
-        height: Height of the visible surface over the table, ``(H, W)`` float32, in pixels like the widths; a rope that
-            lies on the table is as high as it is wide.
-    """
-
+    # the axis of each rope from tip to tip, (P, 2) pixels, at steps of about a pixel. Where a rope leaves the image
+    # the axis goes on for a few widths
     curves: tuple[Curve, ...]
-    widths: tuple[float, ...]
-    mask: Image
-    rgb: Image
-    crossings: tuple[Crossing, ...]
+    widths: tuple[float, ...]  # thickness of each rope in pixels
+    mask: Image  # (H, W) uint8, 0 or 255
+    rgb: Image  # (H, W, 3) uint8
+    crossings: tuple[Crossing, ...]  # those inside the image
+    # height of the visible surface over the table, (H, W) float32, in pixels like the widths; a rope that lies on the
+    # table is as high as it is wide
     height: Field
 
 
@@ -159,17 +142,11 @@ def with_stereo_noise(depth: Array, focal: float, rng: np.random.Generator) -> A
 
 @dataclass(frozen=True)
 class Relief:
-    """The upper surface of what lies on a table, on a raster that is twice as fine as the image.
+    """The upper surface of what lies on a table, on a raster that is twice as fine as the image."""
 
-    Args:
-        height: Height of the surface over the table, ``(2H, 2W)`` float32 pixels of the image; 0 on the table.
-        shade: Brightness of the surface under the light, ``(2H, 2W)`` float32, about 0 to 1.
-        owner: Index of the object on top, ``(2H, 2W)`` int8; -1 on the table.
-    """
-
-    height: Field
-    shade: Field
-    owner: npt.NDArray[np.int8]
+    height: Field  # height of the surface over the table, (2H, 2W) float32 pixels of the image; 0 on the table
+    shade: Field  # brightness of the surface under the light, (2H, 2W) float32, about 0 to 1
+    owner: npt.NDArray[np.int8]  # index of the object on top, (2H, 2W) int8; -1 on the table
 
     @classmethod
     def empty(cls, size: tuple[int, int]) -> Relief:

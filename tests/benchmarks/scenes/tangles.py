@@ -28,21 +28,13 @@ _CLEAR: Final = 2.0
 
 @dataclass(frozen=True)
 class Tangle:
-    """A drawn rope whose mask is not a simple ribbon.
+    """A drawn rope whose mask is not a simple ribbon."""
 
-    Args:
-        curve: The centreline from tip to tip, ``(P, 2)`` pixels, at steps of about a pixel.
-        width: Thickness in pixels.
-        mask: The visible part, ``(H, W)`` uint8, 0 or 255.
-        crossings: Positions of the self-crossings, ``(C, 2)`` pixels.
-        hidden: The points of ``curve`` under an occluder, ``(P,)`` bool.
-    """
-
-    curve: Curve
-    width: float
-    mask: npt.NDArray[np.uint8]
-    crossings: Curve
-    hidden: npt.NDArray[np.bool_]
+    curve: Curve  # the centreline from tip to tip, (P, 2) pixels, at steps of about a pixel
+    width: float  # thickness in pixels
+    mask: npt.NDArray[np.uint8]  # the visible part, (H, W) uint8, 0 or 255
+    crossings: Curve  # positions of the self-crossings, (C, 2) pixels
+    hidden: npt.NDArray[np.bool_]  # the points of curve under an occluder, (P,) bool
 
 
 def crossing_rope(rng: np.random.Generator, crossings: int) -> Tangle:

@@ -6,19 +6,19 @@ import json
 import sys
 
 import gymnasium as gym
-import pytest
-
-pytest.importorskip("stable_baselines3")
-
 import numpy as np
+import pytest
 import yaml
 from bundles import POINTS, WORKSPACE, learner, registered
+from installed import needs
 from rope_env import BLUE
 
 from shape_obs import Centerline, ShapeGoal, ShapeObservation, load_bundle, save_bundle
 from shape_obs.deploy.policy_bundle import BundleError
 from shape_obs.deploy.policy_bundle.archive import read_archive, write_archive
 from shape_obs.deploy.policy_bundle.limits import check_goal
+
+pytestmark = needs("mujoco", "stable_baselines3")
 
 MODULE = """
 from pathlib import Path

@@ -9,12 +9,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from bundles import learner
+from installed import needs
 from strips_env import StripsEnv, observing_strips
-
-pytest.importorskip("stable_baselines3")
 
 from shape_obs import ShapeGoal, ShapeObservation, load_bundle, save_bundle
 from shape_obs.deploy.policy_bundle import BundleError
+
+pytestmark = needs("mujoco", "stable_baselines3")
 
 
 @pytest.fixture

@@ -14,24 +14,19 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from bundles import cable, learner, old_bundle, registered
+from gymnasium import spaces
+from installed import needs
 from known_ropes import fit, ropes
 from rope_env import wrapped
-
-pytest.importorskip("mujoco")
-pytest.importorskip("stable_baselines3")
-
-import stable_baselines3 as sb3
-import torch
-from gymnasium import spaces
-from stable_baselines3.common.torch_layers import FlattenExtractor
-from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 import shape_obs_envs  # noqa: F401
 from shape_obs import load_bundle, save_bundle
 from shape_obs.deploy.policy_bundle import BundleError
 from shape_obs.deploy.policy_bundle.archive import read_archive, write_archive
 from shape_obs.deploy.policy_bundle.spaces import space_from_dict, space_to_dict
-from shape_obs.training import GoalDifference, ImageAndGoal, PixelPolicy, Pixels
+from shape_obs.training import Pixels
+
+pytestmark = needs("mujoco", "stable_baselines3")
 
 
 class Switches(gym.Env[Any, Any]):
@@ -48,10 +43,6 @@ class Switches(gym.Env[Any, Any]):
         return self.observation_space.sample(), 0.0, False, False, {}
 
 
-class OwnExtractor(FlattenExtractor):
-    """A feature extractor of another package."""
-
-
 def switches() -> Any:
     if "Switches-v0" not in gym.registry:
         gym.register("Switches-v0", f"{__name__}:Switches")
@@ -62,26 +53,42 @@ def pixels() -> Any:
     return Pixels(gym.make("ShapeObs/Cable-v0", camera=[84, 84], disable_env_checker=True))
 
 
-DIFFERENCE = {"features_extractor_class": GoalDifference, "features_extractor_kwargs": {"visible": 60}}
-MODELS = {
-    "SAC": (cable, "SAC", "MultiInputPolicy", DIFFERENCE, {"buffer_size": 10}),
-    "SAC from images": (pixels, "SAC", PixelPolicy, {"features_extractor_class": ImageAndGoal}, {"buffer_size": 10}),
-    "SAC, noise by state": (cable, "SAC", "MultiInputPolicy", {}, {"buffer_size": 10, "use_sde": True}),
-    "PPO": (
-        cable,
-        "PPO",
-        "MultiInputPolicy",
-        {**DIFFERENCE, "activation_fn": torch.nn.ELU},
-        {"n_steps": 4, "batch_size": 4},
-    ),
-    "TD3": (cable, "TD3", "MultiInputPolicy", DIFFERENCE, {"buffer_size": 10}),
-    "DQN": (switches, "DQN", "MlpPolicy", {}, {"buffer_size": 10}),
-}
+def models() -> dict[str, tuple[Any, ...]]:
+    """Return for each kind of model its env, algorithm, policy and arguments."""
+    import torch
+
+    from shape_obs.training import GoalDifference, ImageAndGoal, PixelPolicy
+
+    difference = {"features_extractor_class": GoalDifference, "features_extractor_kwargs": {"visible": 60}}
+    return {
+        "SAC": (cable, "SAC", "MultiInputPolicy", difference, {"buffer_size": 10}),
+        "SAC from images": (
+            pixels,
+            "SAC",
+            PixelPolicy,
+            {"features_extractor_class": ImageAndGoal},
+            {"buffer_size": 10},
+        ),
+        "SAC, noise by state": (cable, "SAC", "MultiInputPolicy", {}, {"buffer_size": 10, "use_sde": True}),
+        "PPO": (
+            cable,
+            "PPO",
+            "MultiInputPolicy",
+            {**difference, "activation_fn": torch.nn.ELU},
+            {"n_steps": 4, "batch_size": 4},
+        ),
+        "TD3": (cable, "TD3", "MultiInputPolicy", difference, {"buffer_size": 10}),
+        "DQN": (switches, "DQN", "MlpPolicy", {}, {"buffer_size": 10}),
+    }
 
 
 def made(name: str) -> tuple[Any, Any]:
     """Return a model with untrained weights, and a vector env whose statistics have seen some steps."""
-    make, algorithm, policy, arguments, options = MODELS[name]
+    import stable_baselines3 as sb3
+    import torch
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+    make, algorithm, policy, arguments, options = models()[name]
     torch.set_num_threads(1)
     keys = ["achieved_goal", "desired_goal"] if make is pixels else None
     env = VecNormalize(DummyVecEnv([make]), norm_reward=False, norm_obs_keys=keys)
@@ -114,7 +121,7 @@ raise KeyboardInterrupt
 def test_a_fresh_process_acts_bit_for_bit_and_leaves_nothing(tmp_path):
     """The last bundle has a fitted file, which lies in a temporary folder until the process ends."""
     work, expected = [], []
-    for name in MODELS:
+    for name in models():
         model, env = made(name)
         path = tmp_path / f"{name}.policy"
         save_bundle(model, env, path)
@@ -186,10 +193,15 @@ class TestTrust:
     WORDS = r"trust=True \(--trust on the command line\) only if you trust who made the file"
 
     def test_a_class_of_ones_own(self, tmp_path):
+        import stable_baselines3 as sb3
+        from own_extractor import OwnExtractor
+
         env = switches()
         kwargs = {"features_extractor_class": OwnExtractor}
         model = sb3.PPO("MlpPolicy", env, n_steps=4, batch_size=4, policy_kwargs=kwargs, seed=0, device="cpu")
-        with pytest.warns(UserWarning, match=f"features_extractor_class='{__name__}:OwnExtractor' is not in the list"):
+        with pytest.warns(
+            UserWarning, match="features_extractor_class='own_extractor:OwnExtractor' is not in the list"
+        ):
             save_bundle(model, env, tmp_path / "a.policy")
         with pytest.raises(BundleError, match=f"OwnExtractor' is not in the list .*{self.WORDS}"):
             load_bundle(tmp_path / "a.policy")
@@ -199,6 +211,9 @@ class TestTrust:
         np.testing.assert_array_equal(bundle.act(observation), model.predict(observation, deterministic=True)[0])
 
     def test_a_class_that_cannot_be_imported_is_not_saved(self, tmp_path):
+        import stable_baselines3 as sb3
+        from stable_baselines3.common.torch_layers import FlattenExtractor
+
         class Local(FlattenExtractor):
             pass
 
@@ -221,6 +236,8 @@ class TestTrust:
         assert bundle.make_env().reset(seed=0)[0].keys() == observation.keys()
 
     def test_an_environment_that_is_not_registered(self, tmp_path):
+        import stable_baselines3 as sb3
+
         env = switches()
         save_bundle(sb3.PPO("MlpPolicy", env, n_steps=4, batch_size=4, device="cpu"), env, tmp_path / "a.policy")
         del gym.registry["Switches-v0"]

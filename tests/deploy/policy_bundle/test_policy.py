@@ -8,15 +8,15 @@ import gymnasium as gym
 import pytest
 from bundles import POINTS, WORKSPACE, cable, learner, train
 from fake_cell import rope_camera
-
-pytest.importorskip("mujoco")
-pytest.importorskip("stable_baselines3")
+from installed import needs
 
 import shape_obs_envs  # noqa: F401
 from shape_obs import ShapeGoal, load_bundle, save_bundle
 from shape_obs.deploy.policy_bundle import BundleError
 from shape_obs.training import PointReward, TrueState
 from shape_obs_envs.robots import NullRobot
+
+pytestmark = needs("mujoco", "stable_baselines3")
 
 
 @pytest.fixture(scope="module")

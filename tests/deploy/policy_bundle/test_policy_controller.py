@@ -9,14 +9,14 @@ from typing import Any
 
 import gymnasium as gym
 import pytest
+from installed import needs
 
 from shape_obs import ShapeObservation, save_bundle
 from shape_obs.cli import main
 from shape_obs.deploy.policy_bundle import deploy_command
 from shape_obs.robot import ActionSpec
 
-for module in ("mujoco", "stable_baselines3"):
-    pytest.importorskip(module)
+pytestmark = needs("mujoco", "stable_baselines3")
 CELL = ["--source", "robot", "--robot", "shape_obs_envs.robots:SimulatedRobot"]
 with_d455 = pytest.mark.skipif(not find_spec("pyrealsense2"), reason="the software D455 needs librealsense")
 

@@ -12,11 +12,9 @@ import numpy as np
 import pytest
 import yaml
 from bundles import cable, learner, registered, rope, train
+from installed import needs
 from known_ropes import fit, ropes
 from rope_env import wrapped
-
-pytest.importorskip("mujoco")
-pytest.importorskip("stable_baselines3")
 
 import shape_obs_envs  # noqa: F401
 from shape_obs import load_bundle, save_bundle, schema_hash
@@ -25,6 +23,8 @@ from shape_obs.deploy.policy_bundle import BundleError
 from shape_obs.deploy.policy_bundle.archive import read_archive, write_archive
 from shape_obs.training import Shuffled
 from shape_obs_envs.robots import NullRobot
+
+pytestmark = needs("mujoco", "stable_baselines3")
 
 
 @pytest.fixture(scope="module")
