@@ -160,7 +160,7 @@ def test_processes_give_the_same(place, clean, capsys):
     assert content(place / "two").items() <= content(clean).items()
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_ray_gives_the_same(place, clean, capsys, monkeypatch):
     pytest.importorskip("ray")
     monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")  # of somebody's cluster, which the command was not asked to join
