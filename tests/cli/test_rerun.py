@@ -122,6 +122,7 @@ def test_a_demo_is_logged(place, run):
 
 
 @pytest.mark.nightly
+@pytest.mark.usefixtures("default_signals")
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 def test_ctrl_c_leaves_a_file_with_the_frames_up_to_then(place):
     pytest.importorskip("mujoco")

@@ -27,7 +27,6 @@ from shape_obs.detector import ShapeDetector
 from shape_obs.features import FeatureContext, FeatureVector, read_features
 from shape_obs.recording import record, replay
 from shape_obs_envs.sources import open_source
-from shape_obs_envs.sources.realsense.driver import librealsense
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "real" / "realsense_d4xx_single_640x480.bag"
 COUNT, FRAMES, N = 20, 4, 8
@@ -243,21 +242,6 @@ def test_images_and_a_video_without_depth(tmp_path, capsys):
     table = dataset.dataset(tmp_path / "out", format="parquet").to_table()
     assert np.isfinite(np.stack(table["centerline/features/centroid"].to_pylist())).all()
     assert np.isnan(np.stack(table["centerline/points3d"].to_pylist())).all(), "the column is there, its values are not"
-
-
-@pytest.mark.skipif(not REAL.is_file(), reason="the real recording is not available")
-def test_the_recording_of_a_real_camera(tmp_path, capsys):
-    try:
-        librealsense()
-    except ImportError as error:
-        pytest.skip(f"no librealsense: {error}")
-    save_config(tmp_path / "c.yaml", {"segmentation": {"kind": "depth", "near": 0.3, "far": 5.0}, "on_missing": "nan"})
-    code, report, _ = run(capsys, REAL, "--config", tmp_path / "c.yaml", "-o", tmp_path / "out", "--frames", 1)
-    assert (code, report["done"], report["frames"]) == (0, 1, 1)
-    first = content(tmp_path / "out")
-    shutil.rmtree(tmp_path / "out")
-    run(capsys, REAL, "--config", tmp_path / "c.yaml", "-o", tmp_path / "out", "--frames", 1)
-    assert content(tmp_path / "out") == first
 
 
 def test_bad_input_gets_one_clear_line(place, clean, tmp_path, capsys):

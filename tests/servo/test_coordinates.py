@@ -25,11 +25,6 @@ def test_only_the_named_values_move():
     assert plant.away() < 0.1
 
 
-def test_all_in_order_are_the_same_as_none():
-    one, other = Plant(1), Plant(1)
-    np.testing.assert_array_equal(one.run(servo_of(one), 60), other.run(servo_of(other, coordinates=[0, 1, 2]), 60))
-
-
 @pytest.mark.parametrize("coordinates", [[], [0, 0], [-1], [0.5]])
 def test_other_indices_are_refused(coordinates):
     with pytest.raises(ValueError, match="coordinates: expected different indices of values of an action"):

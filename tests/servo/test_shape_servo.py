@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from linear_plant import POINTS, Plant, servo_of
+from linear_plant import Plant, servo_of
 
 from shape_obs import CameraModel, Intrinsics, ShapeGoal, ShapeObservation
 from shape_obs.deploy import Controller
@@ -114,19 +114,6 @@ def test_an_action_that_was_not_sent_is_not_learnt_from():
             plant.x = plant.x + plant.matrix @ action
     servo.act(plant.observation())
     assert servo.law.estimator.matrix == pytest.approx(plant.matrix, abs=1e-5)
-
-
-def test_lost_from_the_start_it_waits():
-    plant = Plant()
-    servo = servo_of(plant)
-    plant.valid = 0
-    assert (plant.run(servo, 5) == 0).all()
-    assert servo.exciting
-    plant.valid = POINTS
-    assert plant.run(servo, 1) == pytest.approx(np.array([[0.6, 0, 0]]))
-    servo.reset()
-    assert servo.held == 0
-    assert plant.run(servo, 1) == pytest.approx(np.array([[0.6, 0, 0]]))
 
 
 def test_it_says_what_it_expects():

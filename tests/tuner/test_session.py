@@ -150,17 +150,6 @@ def test_a_shape_with_a_rule_of_its_own_keeps_it_there(frame, wave):
     assert session.config.segmentation is None
 
 
-def test_few_thresholds_are_in_the_python_program_itself(clicked, blue, tmp_path):
-    clicked.choose_rule("hsv")
-    clicked.set(("segmentation", "low"), [100, 120, 40])
-    program = clicked.python(".", "folder", "shape.yaml")
-    assert "[100, 120, 40]" in program
-    assert "shape.yaml" not in program
-    cv2.imwrite(str(tmp_path / "rope.png"), cv2.cvtColor(blue, cv2.COLOR_RGB2BGR))
-    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=120)
-    assert done.stdout.startswith("True"), done.stderr
-
-
 def test_nothing_can_be_saved_before_a_click(tmp_path):
     with pytest.raises(ValueError, match="click on the object first"):
         Session().save(tmp_path / "shape.yaml")

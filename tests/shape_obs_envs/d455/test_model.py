@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pickle
 import warnings
 from dataclasses import replace
 from typing import Any
@@ -54,16 +53,7 @@ def test_noise_is_that_of_the_formula(z, size, fast):
     assert values.mean() == pytest.approx(z, abs=0.1 * sigma)
 
 
-@FORMS
-def test_each_pixel_scatters_from_frame_to_frame_as_much(fast):
-    model = replace(CLEAR, subpixel=0.08)
-    frames = np.stack([frame.metres for frame in measure(model, np.full((48, 64), 1.0), fast, frames=400)])
-    ratio = frames.std(axis=0) / model.sigma(1.0)
-    assert ratio.min() > 0.8
-    assert ratio.max() < 1.2
-    assert np.abs(frames.mean(axis=0) - 1.0).max() < 0.25 * model.sigma(1.0)
-
-
+@pytest.mark.nightly
 @FORMS
 @pytest.mark.parametrize("size", [NATIVE, (960, 1280)], ids=["native", "double"])
 def test_noise_correlates_over_native_pixels(size, fast):
@@ -146,12 +136,6 @@ def test_dark_surfaces_lose_their_share(value, size, fast):
 
 
 @FORMS
-def test_a_share_of_one_is_all(fast):
-    (found,) = measure(replace(MODEL, dark_share=1), np.full(SMALL, 1.0), fast, value=0)
-    assert found.lost_to(Cause.DARK).all()
-
-
-@FORMS
 @pytest.mark.parametrize("colour", [(10, 10, 200), (200, 0, 0), (0, 90, 0)])
 def test_strong_colours_are_not_dark(colour, fast):
     camera = D455Camera(MODEL, SMALL, fast)
@@ -222,6 +206,7 @@ def test_each_cause_can_be_switched_off_and_be_alone(field, cause):
     assert np.allclose(nothing.metres, scene)
 
 
+@pytest.mark.nightly
 def test_frames_of_the_fast_form_do_not_repeat():
     frames = measure(replace(CLEAR, subpixel=0.08, speckle_share=0.02), np.full(SMALL, 1.0), True, frames=60)
     error = np.stack([frame.metres - 1 for frame in frames]).reshape(60, -1)
@@ -231,13 +216,6 @@ def test_frames_of_the_fast_form_do_not_repeat():
         assert np.abs(between).max() < 0.75  # one of two layers at the same place would make 0.5
         assert (np.abs(between) > 0.1).mean() < 0.002
         assert np.abs(np.diagonal(between, 1)).max() < 0.1
-
-
-def test_fast_cameras_of_one_model_share_their_noise():
-    from shape_obs_envs.d455.random_fields import noise_bank
-
-    assert noise_bank(D455Model(), SMALL) is noise_bank(D455Model(), SMALL)
-    assert len(pickle.dumps(D455Camera(MODEL, NATIVE, fast=True))) < 2000
 
 
 # ---- colour

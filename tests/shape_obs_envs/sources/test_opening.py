@@ -10,8 +10,7 @@ import pytest
 
 from shape_obs.cli import main
 from shape_obs.source import BadRecording, CameraNotFound, RGBDSource
-from shape_obs_envs.sources import EnvSource, FolderSource, WebcamSource, open_source
-from shape_obs_envs.sources.opening import takes_size
+from shape_obs_envs.sources import EnvSource, FolderSource, open_source
 
 CAMERA = """
     import time
@@ -144,16 +143,6 @@ def test_a_file_or_folder_with_the_name_of_a_camera_is_opened(tmp_path, monkeypa
     for name in ("d455", "webcam"):
         (tmp_path / name).mkdir()
         assert isinstance(open_source(name), FolderSource)
-
-
-def test_words_of_cameras():
-    for word, device in (("webcam", 0), ("webcam:2", 2), ("webcam:/dev/video2", "/dev/video2")):
-        source = open_source(word, width=640, height=480)
-        assert isinstance(source, WebcamSource)
-        assert source._device == device
-    sized = ("d455", "d405:12", "D435", "webcam", "webcam:0", "webcam:/dev/video1")
-    assert all(takes_size(word) for word in sized)
-    assert not any(takes_size(word) for word in ("webcam:rtsp://a/b", "video.mp4", "module:Class", "d45", "robot"))
 
 
 @pytest.mark.parametrize("word", ["d4555", "webcm", "webcam:", "l515"])

@@ -10,8 +10,7 @@ import pytest
 
 from shape_obs import CameraModel, Intrinsics
 from shape_obs_envs.sources.realsense.driver import d455_geometry
-from shape_obs_envs.sources.registration import RawImages, Registration
-from tests.benchmarks.calibration import registered
+from shape_obs_envs.sources.registration import DepthReprojection, RawImages, Registration
 from tests.benchmarks.scenes.tabletop import rows_of_blocks, see
 
 D455 = d455_geometry(640, 480, 0.001)
@@ -30,6 +29,8 @@ def plane(camera: Intrinsics, tilt: float, distance: float = 0.62) -> np.ndarray
 
 @pytest.mark.skipif(not find_spec("pyrealsense2"), reason="compares with librealsense; pyrealsense2 is not installed")
 def test_depth_lies_under_colour_and_blocks_stand_where_they_are_unlike_without_rectification() -> None:
+    from tests.benchmarks.calibration import registered
+
     ours, theirs = registered(0)
 
     assert len(ours.edges) > 1500
@@ -149,5 +150,7 @@ def test_images_of_another_size_or_type_are_refused() -> None:
         registration(rgb[:60], depth)
     with pytest.raises(ValueError, match=r"depth_raw: expected \(120, 160\) uint16.*got \(120, 160\) float32"):
         registration(rgb, depth.astype(np.float32))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="DepthReprojection: expected a target without distortion"):
+        DepthReprojection(DEPTH, COLOUR, *PLACE, 0.001)
     with pytest.raises(ValueError, match="depth: expected a pinhole"):
         RawImages(SMALL, SMALL, COLOUR, np.eye(3), ASIDE)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import signal
 import subprocess
 import sys
@@ -89,27 +88,6 @@ def test_bad_files(recorded, tmp_path: Path) -> None:
     for path in (tmp_path / "none.db3", tmp_path):
         with pytest.raises(BadRecording, match="there is no such file"):
             RealSenseSource(recording=path).connect()
-
-
-@pytest.mark.skipif(not REAL.is_file(), reason="the real recording is not available")
-def test_bad_bags(tmp_path: Path) -> None:
-    shutil.copy(REAL, tmp_path / "real.db3")
-    (tmp_path / "half.bag").write_bytes(REAL.read_bytes()[:300_000])
-    with pytest.raises(BadRecording, match=r"the content is a ROS bag, .* rename it to real\.bag"):
-        RealSenseSource(recording=tmp_path / "real.db3").connect()
-    with pytest.raises(BadRecording, match="a part of it is missing"):
-        RealSenseSource(recording=tmp_path / "half.bag").connect()
-
-
-def test_an_sqlite_file_of_something_else(tmp_path: Path) -> None:
-    import sqlite3
-
-    path = tmp_path / "notes.db3"
-    with sqlite3.connect(path) as base:
-        base.execute("create table notes (text)")
-    base.close()
-    with pytest.raises(BadRecording, match="cannot read it"):
-        RealSenseSource(recording=path).connect()
 
 
 @pytest.mark.skipif(recording_suffix() != ".db3", reason="bags are written when they are closed")

@@ -9,9 +9,9 @@ import time
 
 import numpy as np
 import pytest
-from camera_scene import SMALL, arrived, camera, numbers, picture, smooth, source, streaming
+from camera_scene import arrived, camera, numbers, picture, smooth, source, streaming
 
-from shape_obs.source import NotConnected, RGBDSource, SourceError, StaleFrame
+from shape_obs.source import RGBDSource, SourceError
 from shape_obs_envs.sources import RealSenseSource, SoftwareD455
 
 
@@ -31,60 +31,11 @@ def test_ideal_images_come_out_as_they_were_put_in() -> None:
     assert np.median(np.abs(frame.depth[inner].astype(float) - 700)) <= 1
 
 
-def test_raw_images_are_those_of_a_d455() -> None:
-    lens, depth = SoftwareD455().geometry.colour, SoftwareD455().geometry.depth
-    assert (lens.width, lens.height) == (640, 480)
-    assert lens.fx == pytest.approx(0.6 * 636.5)
-    assert lens.cx == pytest.approx(0.6 * 644.4 - 64)
-    assert lens.cy == pytest.approx(0.6 * 407.8)
-    assert lens.distorted
-    assert not depth.distorted
-    assert depth.fx == pytest.approx(386, abs=1)
-
-
-def test_kind_name_and_camera() -> None:
-    device = camera("77")
-    stream = source(device)
-    assert (stream.kind, stream.name, stream.live, stream.has_depth) == ("software", "software:77", True, True)
-    with stream:
-        assert stream.serial == "77"
-        assert stream.camera is not None
-        assert stream.camera.intrinsics == stream.intrinsics
-
-
 def test_a_slow_reader_gets_every_frame() -> None:
     device = camera()
     with source(device, buffer=64) as stream, streaming(device, 0.005, count=60):
         assert numbers(stream, 60, pause=0.01) == list(range(1, 61))
         assert stream.dropped == 0
-
-
-def test_every_frame_comes_while_the_processor_is_busy() -> None:
-    device, over = camera(), threading.Event()
-
-    def burn() -> None:
-        while not over.is_set():
-            sum(range(1000))
-
-    burners = [threading.Thread(target=burn) for _ in range(3)]
-    for thread in burners:
-        thread.start()
-    try:
-        with source(device, buffer=64) as stream, streaming(device, 0.02, count=60):
-            assert numbers(stream, 60, timeout=20) == list(range(1, 61))
-    finally:
-        over.set()
-        for thread in burners:
-            thread.join()
-
-
-def test_without_a_reader_the_newest_frames_stay() -> None:
-    device = camera()
-    with source(device, buffer=4) as stream:
-        for _ in range(10):
-            arrived(stream, device.push_raw(*picture()))
-        assert numbers(stream, 4) == [7, 8, 9, 10]
-        assert stream.dropped == 6
 
 
 def test_60_held_frames_do_not_starve_the_stream() -> None:
@@ -120,41 +71,6 @@ def test_stamps_are_the_cameras_and_received_is_ours() -> None:
         assert before - 1 < frame.received <= time.monotonic()
         device.push_raw(*picture())
         assert stream.read(5).stamp == pytest.approx(time.time(), abs=2)
-
-
-def test_the_latest_frame_again_and_again_until_it_is_stale() -> None:
-    device = camera()
-    with source(device) as stream:
-        with pytest.raises(StaleFrame, match=r"455 .*none has come yet"):
-            stream.read_latest()
-        arrived(stream, device.push_raw(*picture()))
-        first = stream.read_latest(60)
-        assert first.rgb is not None
-        wanted = first.rgb.copy()
-        first.rgb[:] = 0  # the caller's
-        again = stream.read_latest(60)
-        assert again.rgb is not None
-        assert again.number == 1
-        assert np.array_equal(again.rgb, wanted)
-        time.sleep(0.06)
-        with pytest.raises(StaleFrame, match=r"last 0\.05 s, the newest came"):
-            stream.read_latest(0.05)
-
-
-def test_only_what_is_connected_can_be_read() -> None:
-    device = camera()
-    stream = source(device)
-    for read in (stream.read, stream.read_latest, lambda: stream.intrinsics, lambda: stream.dropped):
-        with pytest.raises(NotConnected, match="connect"):
-            read()
-    stream.disconnect()
-    for _ in range(2):
-        with stream:
-            stream.connect()
-            number = device.push_raw(*picture())
-            assert stream.read(5).number == number
-    with pytest.raises(NotConnected):
-        stream.read()
 
 
 def test_options_are_set() -> None:
@@ -251,7 +167,3 @@ def test_librealsense_is_loaded_when_a_camera_is_opened_and_missed_by_name() -> 
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "ImportError: RealSense cameras and their recordings need librealsense" in ran.stderr
     assert 'pip install ".[realsense]"' in ran.stderr
-
-
-def test_modes_of_the_small_camera() -> None:
-    assert camera().geometry.colour.size == (SMALL["height"], SMALL["width"])

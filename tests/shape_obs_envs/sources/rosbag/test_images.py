@@ -73,11 +73,6 @@ def test_compressed_colour_is_decoded_from_bgr(kind):
     assert np.abs(read_colour(message).astype(int) - rgb).max() <= (0 if exact else 12)
 
 
-def test_a_format_that_says_rgb_is_not_swapped():
-    data = cv2.imencode(".png", NOISE)[1].tobytes()
-    assert np.array_equal(read_colour(compressed(data, "rgb8; png compressed rgb8", 1.0)), NOISE)
-
-
 @pytest.mark.parametrize("big_endian", [False, True])
 def test_raw_depth_is_exact_in_both_byte_orders(big_endian):
     metres = (MILLIMETRES / 1000).astype(np.float32)

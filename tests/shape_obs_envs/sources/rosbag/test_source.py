@@ -228,12 +228,6 @@ def test_folders_without_their_file_or_with_a_bad_list_are_refused(mcap, tmp_pat
             open_source(bag).connect()
 
 
-def test_a_folder_that_lost_its_metadata_says_what_to_do(mcap, tmp_path):
-    (tmp_path / mcap.name).write_bytes(mcap.read_bytes())
-    with pytest.raises(BadRecording, match=r"found neither.*ros2 bag reindex"):
-        open_source(tmp_path).connect()
-
-
 def test_the_sqlite_file_inside_a_rosbag2_leads_to_its_folder(frames, tmp_path):
     file = write_bag(tmp_path / "bag", rgbd_messages(frames[:2], K), "sqlite3")
     with pytest.raises(BadRecording, match=r"part of a rosbag2: give its folder, .*bag"):
