@@ -119,6 +119,7 @@ def test_another_host_needs_the_token(photo):
         assert websocket_status(port, cookie) == 101
 
 
+@pytest.mark.nightly
 def test_a_missing_extra_is_named(photo):
     script = f"import sys; sys.modules['nicegui'] = None; {COMMAND}"
     command = [sys.executable, "-c", script, "tune", str(photo), "--port", "0", "--no-open"]

@@ -180,6 +180,7 @@ def cable(**kwargs: Any) -> gym.Env[Any, Any]:
     return gym.make("shape_obs_envs:ShapeObs/Cable-v0", **{"camera": [84, 84], "renderer": "rays", **kwargs})
 
 
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore:.*:UserWarning")
 def test_both_checkers_pass():
     sb3 = pytest.importorskip("stable_baselines3.common.env_checker")

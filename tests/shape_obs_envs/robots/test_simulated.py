@@ -41,22 +41,24 @@ def test_every_robot_moves_only_when_connected_by_finite_motions_in_time_and_sto
     robot.connect()
     robot.reset()
     start = robot.state()
-    motion = 0.4 * np.asarray(robot.action_spec.scale)
+    spec = robot.action_spec
+    inwards = np.where(start > (np.asarray(spec.low) + spec.high) / 2, -1.0, 1.0)
+    motion = 0.4 * inwards * spec.scale
     robot.send(motion, soon())
     assert robot.state() == pytest.approx(start + motion)
     for bad in (np.zeros(5), np.full(6, np.nan)):
         with pytest.raises(RobotError, match="6 finite numbers"):
             robot.send(bad, soon())
-    robot.send(motion, time.monotonic() - 0.01)  # its time is over
-    assert robot.state() == pytest.approx(start + motion)
-    for call in (robot.stop, robot.stop):
-        thread = threading.Thread(target=call)
-        thread.start()
-        thread.join()
+    thread = threading.Thread(target=robot.stop)
+    thread.start()
+    thread.join()
     stopped = robot.state()
+    assert (np.abs(stopped - start) <= np.abs(motion) + 1e-9).all()
+    robot.stop()
+    robot.send(motion, time.monotonic() - 0.01)  # its time is over
+    assert robot.state() == pytest.approx(stopped, abs=1e-9)
     robot.park()
     robot.reset()
-    assert robot.state().shape == stopped.shape == (6,)
 
 
 # ---- NullRobot

@@ -185,7 +185,7 @@ def test_flipped_bytes_never_raise_anything_else(mcap, frames, tmp_path):
     draw = np.random.default_rng(0)
     path = tmp_path / "flipped.mcap"
     messages: list[str] = []
-    for _ in range(60):
+    for _ in range(20):
         data = whole.copy()
         at = draw.integers(0, len(data), 1 + draw.integers(4))
         at[0] = len(data) - draw.integers(1, 3000)  # the index is at the end
@@ -197,7 +197,7 @@ def test_flipped_bytes_never_raise_anything_else(mcap, frames, tmp_path):
                 assert sum(1 for _ in read_moments(source)) <= len(frames)
         except BadRecording as error:
             messages.append(str(error))
-    assert 5 < len(messages) < 60
+    assert 2 < len(messages) < 20
     assert all("flipped.mcap" in message and "\n" not in message for message in messages)
 
 
