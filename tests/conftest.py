@@ -23,6 +23,7 @@ from hypothesis import settings
 
 from shape_obs import CameraModel, Intrinsics
 from shape_obs.bench.scenes import Rope, draw_rope
+from tests.detection_contract import watched
 
 cv2.setNumThreads(1)
 settings.register_profile("shape_obs", deadline=None, max_examples=30, derandomize=True)
@@ -40,6 +41,21 @@ def default_signals() -> Iterator[None]:
     yield
     for number, handler in before.items():
         signal.signal(number, handler)
+
+
+@pytest.fixture(scope="session")
+def broken_promises() -> Iterator[list[str]]:
+    """Hold every detection of the session against the contract; return what was broken so far."""
+    with watched() as broken:
+        yield broken
+
+
+@pytest.fixture(autouse=True)
+def _every_detection_keeps_its_promises(broken_promises: list[str]) -> Iterator[None]:
+    yield
+    found = broken_promises[:]
+    broken_promises.clear()
+    assert not found, f"detections of this test break the contract of tests/detection_contract.py: {found[:5]}"
 
 
 @pytest.fixture(scope="session")

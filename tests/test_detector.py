@@ -28,10 +28,6 @@ def at_shares(curve: np.ndarray, shares: np.ndarray) -> np.ndarray:
     return fine[np.round(shares * (len(fine) - 1)).astype(int)]
 
 
-def gaps(points: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(np.diff(points, axis=0), axis=1)
-
-
 @settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), kind=st.sampled_from(KINDS), n=st.sampled_from([8, 20, 50]))
 def test_points_lie_on_the_centreline_in_order(seed, kind, n):
@@ -54,21 +50,6 @@ def test_tips_and_centres(wave):
         np.testing.assert_allclose(tips, at_shares(wave.curve, np.linspace(0, 1, n)), atol=atol)
         centres = one(ShapeDetector(Centerline(n=n), ends="centers"), wave.mask).points2d
         np.testing.assert_allclose(centres, at_shares(wave.curve, (np.arange(n) + 0.5) / n), atol=atol)
-
-
-@pytest.mark.parametrize("n", [12, 20, 50, 100, 300])
-def test_gaps_are_equal(wave, n):
-    spacing = gaps(one(ShapeDetector(Centerline(n=n)), wave.mask).points2d)
-    assert spacing.std() / spacing.mean() < 0.01
-
-
-def test_an_image_and_its_mask_give_the_same_points(wave, blue, intrinsics):
-    depth = np.full(wave.mask.shape, 800, np.uint16)
-    from_image = ShapeDetector(segmentation=BLUE).detect(blue, depth, intrinsics).shapes[0]
-    for mask in (wave.mask, wave.mask > 0, (wave.mask > 0).astype(np.uint8)):
-        from_mask = one(ShapeDetector(), mask, depth=depth, camera=intrinsics)
-        np.testing.assert_array_equal(from_image.points2d, from_mask.points2d)
-        np.testing.assert_array_equal(from_image.points3d, from_mask.points3d)
 
 
 class TestAnchors:
@@ -186,12 +167,6 @@ class TestOrder:
         detector.reset()
         np.testing.assert_allclose(one(detector, ropes[-1].mask).points2d, tracked[::-1], atol=1)
 
-    def test_a_name_in_order_of_shape_wins_over_the_detectors(self):
-        shapes = [Centerline(name="a", ends="tips"), Centerline(name="b", ends="tips", order="image")]
-        detector = ShapeDetector(shapes, order="tracked")
-        detections = [detector.detect_mask(rope.mask) for rope in self.turning()]
-        np.testing.assert_allclose(detections[-1]["a"].points2d, detections[-1]["b"].points2d[::-1], atol=1)
-
 
 def test_a_gap_is_bridged_and_reported(wave):
     """A gripper finger hides 14 px of the rope: the points under it are in place and invisible."""
@@ -237,12 +212,6 @@ def test_a_detection_is_read_by_name_and_place(wave):
         detection[0]  # type: ignore[arg-type]
 
 
-def test_timings_hold_each_stage_in_milliseconds(blue, intrinsics):
-    timings = ShapeDetector(segmentation=BLUE).detect(blue, np.full((240, 320), 800, np.uint16), intrinsics).timings
-    assert {"segmentation", "fit", "lift", "total"} <= set(timings)
-    assert 0 < sum(v for stage, v in timings.items() if stage != "total") <= timings["total"]
-
-
 def test_a_detection_becomes_json(wave, intrinsics):
     depth = np.full(wave.mask.shape, 800, np.uint16)
     depth[:, 150:] = 0
@@ -273,21 +242,3 @@ def test_a_copy_goes_on_like_the_original(copied):
             np.testing.assert_array_equal(a.points2d, b.points2d)
             assert (a.ok, a.age, a.quality, a.reason, a.track_id) == (b.ok, b.age, b.quality, b.reason, b.track_id)
             np.testing.assert_array_equal(a.sigma, b.sigma)
-
-
-def test_detectors_share_nothing(wave):
-    first, second = ShapeDetector(), ShapeDetector()
-    alone = one(first, wave.mask).points2d
-    one(second, wave.mask[:, ::-1].copy())
-    np.testing.assert_array_equal(one(ShapeDetector(), wave.mask).points2d, alone)
-    assert one(second, wave.mask[:, ::-1].copy()).points2d[0, 0] < 60
-    assert one(first, wave.mask).points2d[0, 0] < 60
-
-
-def test_results_are_not_written_to_later(wave):
-    detector = ShapeDetector(Centerline(n=7))
-    shape = one(detector, wave.mask)
-    before = shape.points2d.copy()
-    one(detector, np.roll(wave.mask, 5, axis=0))
-    one(detector, np.zeros_like(wave.mask))
-    np.testing.assert_array_equal(shape.points2d, before)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shape_obs import Intrinsics, ShapeDetector
+from shape_obs import ShapeDetector
 
 
 def mask() -> np.ndarray:
@@ -20,21 +20,6 @@ def test_a_shape_is_printed_in_two_lines():
     assert first.endswith("; 20 points, 20 visible, 20 valid")
     assert second == "  2D, first (20.3, 50.0) px, last (179.7, 50.0) px>"
     assert str(detection.shapes[0]) == repr(detection.shapes[0])
-
-
-def test_points_in_space_are_printed_in_metres():
-    depth = np.full((100, 200), 500, np.uint16)
-    depth[45:56, 20:60] = 0  # holes
-    rgb = np.zeros((100, 200, 3), np.uint8)
-    rgb[mask() > 0] = (0, 0, 255)
-    detector = ShapeDetector(segmentation={"kind": "hsv", "low": [100, 100, 100], "high": [140, 255, 255]}, ends="tips")
-    shape = detector.detect(rgb, depth, Intrinsics(200, 100, 200.0, 200.0, 100.0, 50.0)).shapes[0]
-    first, second = repr(shape).splitlines()
-    valid = np.count_nonzero(shape.valid)
-    assert 0 < valid < 20
-    assert first.endswith(f"; 20 points, 20 visible, {valid} valid")
-    assert second.startswith("  3D, first (")
-    assert second.endswith(", last (0.199, 0.000, 0.500) m>")
 
 
 def test_what_was_not_found_says_why():

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import json
-import pickle
 import warnings
 from datetime import datetime, timedelta, timezone
 
@@ -41,14 +39,6 @@ def test_saved_and_loaded(tmp_path):
     assert data["convention"].startswith("p_base = T p_camera")
     np.testing.assert_allclose(data["T"], place())
     assert datetime.fromisoformat(data["created"]).tzinfo is not None
-
-
-def test_the_camera_has_its_extrinsics(tmp_path):
-    extrinsics().save(tmp_path / "e.json")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        camera = Extrinsics.load(str(tmp_path / "e.json")).camera(INTRINSICS, "123")
-    np.testing.assert_allclose(camera.to_base([0.1, 0.2, 0.7]), (place() @ [0.1, 0.2, 0.7, 1])[:3])
 
 
 def test_points3d_of_a_detection_lead_to_the_base_frame():
@@ -130,9 +120,3 @@ class TestDoubts:
             "the same, half as large"
         )
         assert self.warned(extrinsics(), Intrinsics(848, 480, 386.0, 385.0, 425.0, 243.0))
-
-    @pytest.mark.parametrize("twin", [copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))])
-    def test_copies(self, twin):
-        first = extrinsics()
-        first.camera(INTRINSICS)
-        assert twin(first) == first

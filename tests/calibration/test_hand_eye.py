@@ -112,10 +112,6 @@ class TestMarkerPoints:
         truth = scene.to_camera(LAYOUT.array[0])
         assert np.linalg.norm(marker_points(corners, CAMERA, depth) - truth, axis=1).max() < 0.003
 
-    def test_without_depth_the_size_is_needed(self, scene):
-        with pytest.raises(ValueError, match="give the marker's size"):
-            marker_points(find_markers(scene.rgb)[0], CAMERA, np.zeros((480, 640), np.uint16))
-
 
 class TestBase:
     def test_from_a_recording_and_a_file(self, tmp_path, recording, touches, scene, capsys):

@@ -6,12 +6,10 @@ import json
 import os
 import subprocess
 import sys
-from typing import Any
 
-import numpy as np
 import pytest
 
-from shape_obs import Centerline, ShapeDetector, ShapeObservation, SpecError, load_config, save_config, schema_hash
+from shape_obs import Centerline, ShapeDetector, SpecError, load_config, save_config, schema_hash
 from shape_obs.clustering.base import Clusterer, SelfOrganisingMap
 from shape_obs.clustering.kmeans import KMeans
 from tests.benchmarks.scores import score
@@ -71,23 +69,6 @@ class TestConfiguration:
     def test_settings_out_of_range_are_refused(self, wrong):
         with pytest.raises(ValueError, match=f"{wrong['kind']}: .*{[*wrong][1]}"):
             ShapeDetector(clustering=wrong)
-
-    def test_the_wrapper_takes_it_and_rebuilds_it(self):
-        import gymnasium as gym
-        from gymnasium.envs.registration import EnvSpec
-        from rope_env import BLUE
-
-        gym.register("Clustered-v0", "rope_env:RopeEnv", max_episode_steps=5)
-        try:
-            env = ShapeObservation(gym.make("Clustered-v0"), segmentation=BLUE, clustering=KMeans(n_init=2))
-            spec = env.spec
-            assert spec is not None
-            again: Any = gym.make(EnvSpec.from_json(spec.to_json()))
-            np.testing.assert_array_equal(again.reset(seed=3)[0], env.reset(seed=3)[0])
-            plain = ShapeObservation(gym.make("Clustered-v0"), segmentation=BLUE)
-            assert np.abs(plain.reset(seed=3)[0] - env.reset(seed=3)[0]).max() > 1e-4
-        finally:
-            gym.registry.pop("Clustered-v0")
 
     def test_a_clusterer_of_ones_own_works(self, wave):
         from dataclasses import dataclass

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from shape_obs.clustering.som import batch_epochs, best_matching_units, run_ring_som, run_som
-from shape_obs.geometry.observed import Samples
-from shape_obs.geometry.outline import material_outline, pairs
+from shape_obs.clustering.som import batch_epochs, best_matching_units
 from shape_obs.geometry.topology import Chain, Grid, Ring
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -51,27 +48,3 @@ def test_best_matching_units_are_the_nearest_nodes(seed, dimension):
     units = best_matching_units.py_func(points, nodes)  # pyright: ignore[reportFunctionMemberAccess]
     away = cdist(points, nodes)
     np.testing.assert_allclose(away[np.arange(80), units], away.min(axis=1), atol=1e-3)  # in single precision
-
-
-def test_a_ring_s_epoch_is_that_of_the_map():
-    angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
-    traced = np.stack([300 + 100 * np.cos(angle), 200 + 60 * np.sin(angle)], axis=1)
-    points, smooth = material_outline(traced, False)
-    samples = pairs(points)
-    nodes, unit = run_ring_som(samples, smooth, smooth[7] + 0.2, 60, 0.4)
-    start = nodes[(np.arange(60) + 30) % 60]  # any start near the ring: one more epoch hardly moves it
-    again = run_som(Samples(samples, np.full(len(samples), 2.0), 2.0), start, Ring(60), (0.4,))
-    np.testing.assert_allclose(again, start, atol=0.15)
-    np.testing.assert_allclose(nodes[0], smooth[7], atol=0.8)
-    nearest = np.argmin(cdist(samples, nodes), axis=1)
-    away = (unit - nearest + 30) % 60 - 30
-    assert np.abs(away).max() <= 1
-
-
-@pytest.mark.parametrize("view", [np.asfortranarray, lambda points: np.repeat(points, 2, axis=0)[::2]])
-def test_samples_of_any_layout(view):
-    rng = np.random.default_rng(0)
-    points, start = rng.uniform(0, 100, (60, 2)), rng.uniform(0, 100, (7, 2))
-    expected = run_som(Samples(points, np.ones(60), 1.0), start, Chain(7), (0.8,))
-    found = run_som(Samples(view(points), np.ones(120)[::2], 1.0), view(start), Chain(7), (0.8,))
-    np.testing.assert_allclose(found, expected)

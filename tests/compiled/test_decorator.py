@@ -7,7 +7,7 @@ import pickle
 import numpy as np
 import pytest
 
-from shape_obs.compiled import compile_now, compiled, decorator
+from shape_obs.compiled import compiled, decorator
 
 
 @compiled
@@ -48,11 +48,6 @@ def test_arrays_of_another_type_or_layout_raise_type_error(values):
         total(values, 1.0)
 
 
-def test_a_missing_argument_raises_type_error():
-    with pytest.raises(TypeError):
-        total(np.ones(2))  # pyright: ignore[reportCallIssue]
-
-
 def test_a_function_without_signature_is_not_for_python():
     with pytest.raises(TypeError, match="give it a signature"):
         scaled(2.0)
@@ -64,12 +59,6 @@ def test_functions_are_pickled_by_name(function):
     data = pickle.dumps(function)
     assert len(data) < 200
     assert function.py_func.__name__.encode() in data
-
-
-def test_what_is_ready_and_what_is_not_compiled_is_left_alone():
-    compile_now([total, scaled, len])
-    compile_now([])
-    assert type(total) is decorator._Dispatcher
 
 
 @pytest.mark.parametrize(("size", "words"), [(3_500, 0), (40_000, 1)])

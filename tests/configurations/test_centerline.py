@@ -7,21 +7,8 @@ import pytest
 
 from shape_obs import Centerline, ShapeDetector
 from shape_obs.bench.scenes import moving_rope
-
-
-@pytest.mark.parametrize("speed", [10, 40])
-def test_an_object_that_is_gone_for_a_while_comes_back_the_right_way_round(speed):
-    detector = None
-    for index, rope in enumerate(moving_rope(np.random.default_rng(9), speed, 60)):
-        if detector is None:
-            detector = ShapeDetector([Centerline(n=20, ends="tips", anchor=tuple(rope.curve[0]))], max_age=0.5)
-        gone = index % 20 >= 14  # 6 frames at 30 frames a second: 0.2 s
-        shape = detector.detect_mask(np.zeros_like(rope.mask) if gone else rope.mask).shapes[0]
-        assert shape.ok
-        assert bool(shape.reason) is gone
-        if not gone:
-            ends = np.linalg.norm(shape.points2d[[0, -1]] - rope.curve[[0, -1]], axis=1)
-            assert ends.max() < 3
+from tests.benchmarks.scenes.ropes import BENDS, bent_rope
+from tests.benchmarks.scores import faithfulness
 
 
 def test_a_frame_that_shows_far_more_than_the_rope_is_refused_and_the_rope_found_again():
@@ -36,3 +23,14 @@ def test_a_frame_that_shows_far_more_than_the_rope_is_refused_and_the_rope_found
     assert "times as many pixels as the rope" in detector.detect_mask(comb).shapes[0].reason
     for mask in masks[15:]:
         assert not detector.detect_mask(mask).shapes[0].reason
+
+
+@pytest.mark.parametrize("bend", BENDS)
+@pytest.mark.parametrize("width", [4, 10])
+def test_the_curve_is_faithful_however_narrow_its_bends_and_long_the_rope(bend, width):
+    rope = bent_rope(np.random.default_rng(2), radius=1.5, width=width, bend=bend)
+    detector = ShapeDetector([Centerline(n=256, ends="tips")])
+    for _ in range(3):
+        shape = detector.detect_mask(rope.mask).shapes[0]
+        assert not shape.reason
+        assert faithfulness(shape.pixels, rope.curve, rope.width).within >= 0.99

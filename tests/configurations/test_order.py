@@ -23,7 +23,7 @@ class Frame(NamedTuple):
 
 
 def ropes() -> Iterator[Frame]:
-    for rope in moving_rope(np.random.default_rng(9), 20, 240):
+    for rope in moving_rope(np.random.default_rng(9), 20, 120):
         yield Frame(rope.mask, rope.curve[[0, -1]])
 
 

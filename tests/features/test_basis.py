@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import interpolate
 
-from shape_obs import Feature, Shape, ShapeObservation, SpecError
+from shape_obs import Feature, Shape, SpecError
 from shape_obs.features import Bezier, BSpline, EllipticFourier, FeatureContext, Fourier
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 
@@ -61,7 +61,7 @@ def recorded():
     import shape_obs_envs  # noqa: F401
 
     shapes: dict[Topology, list[np.ndarray]] = {}
-    for name, layout, episodes in (("Cable", ROPE, 10), ("Ring", OUTLINE, 6), ("Cloth", SHEET, 3)):
+    for name, layout, episodes in (("Cable", ROPE, 3), ("Ring", OUTLINE, 2), ("Cloth", SHEET, 1)):
         env = gym.make(f"ShapeObs/{name}-v0", render_observation=False, difficulty="far", disable_env_checker=True)
         rng, found = np.random.default_rng(0), shapes.setdefault(layout, [])
         action = np.zeros(cast(gym.spaces.Box, env.action_space).shape, np.float32)
@@ -87,18 +87,6 @@ class TestClosedForms:
         expected[0], expected[1:3, :2] = [0.1, -0.3, 0.7], np.diag(axes) @ turn.T
         np.testing.assert_allclose(fit(EllipticFourier(), ellipse, OUTLINE), expected, atol=1e-6)
 
-    def test_equidistant_points_give_kuhl_and_giardinas_coefficients(self):
-        corners = np.array([[0, 0, 0], [0.2, 0, 0], [0.2, 0.6, 0], [0, 0.6, 0], [0, 0, 0]])
-        places = np.interp(np.arange(32) / 32 * 1.6, [0, 0.2, 0.8, 1.0, 1.6], np.arange(5))
-        rectangle = interpolate.interp1d(np.arange(5), corners, axis=0)(places)
-        step, time = np.diff(rectangle, axis=0, append=rectangle[:1]), 2 * np.pi * np.arange(33) / 32
-        ours = fit(EllipticFourier(harmonics=6), rectangle, OUTLINE)
-        for k in range(1, 7):
-            scale = 32 / (2 * np.pi * np.pi * k**2)  # T / (2 n^2 pi^2) over the side T / 32
-            theirs = scale * np.diff([np.cos(k * time), np.sin(k * time)], axis=1) @ step
-            attenuation = np.sinc(k / 32) ** 2
-            np.testing.assert_allclose(ours[2 * k - 1 : 2 * k + 1] * attenuation, theirs, atol=1e-6)
-
     @pytest.mark.parametrize("feature", [Bezier(degree=1), Bezier(), BSpline(), BSpline(coefficients=5, degree=2)])
     def test_a_straight_line_is_kept_exactly(self, feature):
         line = np.linspace([0.1, 0.2, 0.5], [0.5, -0.1, 0.7], 20)
@@ -106,10 +94,6 @@ class TestClosedForms:
         ends = fit(feature, line, ROPE)[[0, -1]]
         np.testing.assert_allclose(ends, line[[0, -1]], atol=1e-6)
         np.testing.assert_allclose(rebuilt(feature, line, ROPE, np.arange(20) < 13), line, atol=1e-4)
-
-    def test_half_a_period_keeps_a_straight_line_though_its_ends_are_apart(self):
-        line = np.linspace([0.1, 0.2, 0.5], [0.5, -0.1, 0.7], 20)  # 0.54 m
-        assert all(Fourier(harmonics=n).error(shape(line, ROPE), VIEW) < 0.001 for n in (4, 6))
 
     @given(seeds)
     def test_a_spline_gives_its_own_control_points_back(self, seed):
@@ -150,55 +134,8 @@ class TestMoved:
         harmonic = isinstance(feature, (Fourier, EllipticFourier))
         np.testing.assert_allclose(ones[:, 0], np.eye(len(ones))[0] if harmonic else 1.0, atol=1e-5)
 
-    @given(seeds)
-    def test_reversed_points_reverse_control_points_and_alternate_harmonics(self, seed):
-        points, known = draw(ROPE, seed)
-        for feature in (Bezier(), BSpline()):
-            there, back = fit(feature, points, ROPE, known), fit(feature, points[::-1], ROPE, known[::-1])
-            np.testing.assert_allclose(back, there[::-1], atol=2e-4)
-        there, back = fit(Fourier(), points, ROPE, known), fit(Fourier(), points[::-1], ROPE, known[::-1])
-        sign = [1, -1, 1, 1, -1, -1, 1, 1, -1]
-        np.testing.assert_allclose(back, np.array(sign)[:, None] * there, atol=2e-4)
-
-    @given(seeds, st.integers(0, 31))
-    def test_another_start_turns_the_ellipses_phase(self, seed, start):
-        points, known = draw(OUTLINE, seed)
-        there = fit(EllipticFourier(), points, OUTLINE, known)
-        later = fit(EllipticFourier(), np.roll(points, -start, 0), OUTLINE, np.roll(known, -start))
-        phase = np.exp(-2j * np.pi * np.arange(1, 5) * start / 32)[:, None]
-        np.testing.assert_allclose(later[0], there[0], atol=1e-5)
-        np.testing.assert_allclose(later[1::2] + 1j * later[2::2], phase * (there[1::2] + 1j * there[2::2]), atol=1e-5)
-        other = fit(EllipticFourier(), np.roll(points[::-1], 1, 0), OUTLINE, np.roll(known[::-1], 1))
-        np.testing.assert_allclose(other[1:], np.array(4 * [1, -1])[:, None] * there[1:], atol=1e-5)
-
 
 class TestMissing:
-    @each_fit
-    def test_a_fifth_missing_at_random_costs_little(self, feature, layout, recorded):
-        rng, all_known, fifth_missing = np.random.default_rng(0), [], []
-        for truth in recorded[layout]:
-            known = rng.permutation(layout.size) >= layout.size // 5
-            gone = np.where(known[:, None], truth, np.nan)
-            for filled in (gone, layout.interpolate(gone, known)):
-                back = rebuilt(feature, filled, layout, known)
-                fifth_missing.append(np.linalg.norm(back - truth, axis=1).mean())
-            all_known.append(feature.error(shape(truth, layout), VIEW))
-        cost = 0.002 if layout == SHEET else 0.0005  # 4 rows leave a gap fewer neighbours
-        assert np.mean(fifth_missing) < np.mean(all_known) + cost
-
-    @each_fit
-    @pytest.mark.parametrize("share", [0.2, 0.4])
-    def test_a_run_missing_anywhere_leaves_the_shape_sane(self, feature, layout, share, recorded):
-        run, n = round(share * layout.size), layout.size
-        for truth, start in zip(recorded[layout][:6], 2 * (0, n // 3, n - run), strict=True):
-            known = np.ones(n, bool)
-            known[start : start + run] = False
-            back = rebuilt(feature, np.where(known[:, None], truth, np.nan), layout, known)
-            # A polynomial that is free at an end swings there; the others go straight on.
-            lengths = [np.linalg.norm(np.diff(x[layout.edges()], axis=1), axis=2).sum() for x in (back, truth)]
-            assert np.linalg.norm(back - truth, axis=1)[known].mean() < 0.01
-            assert 0.85 < lengths[0] / lengths[1] < (2.0 if isinstance(feature, Bezier) else 1.1)
-
     @each_fit
     @given(seed=seeds)
     def test_two_points_are_enough_for_finite_values_one_is_not(self, feature, layout, seed):
@@ -216,34 +153,6 @@ class TestMissing:
         for feature in (Fourier(), Bezier(), BSpline()):
             back = rebuilt(feature, astray, ROPE, known)
             assert np.linalg.norm(back - truth, axis=1).max() < 0.006
-
-
-class TestRecorded:
-    def test_true_shapes_come_back_to_two_millimetres_and_sheets_to_three(self, recorded):
-        for layout, features, limit in [
-            (ROPE, [Fourier(harmonics=4), BSpline(coefficients=8)], 0.002),
-            (OUTLINE, [EllipticFourier(harmonics=4), BSpline(coefficients=10)], 0.002),
-            (SHEET, [Fourier(harmonics=2), Bezier(degree=3), BSpline(coefficients=5)], 0.003),
-        ]:
-            for feature in features:
-                errors = [feature.error(shape(points, layout), VIEW) for points in recorded[layout]]
-                assert np.mean(errors) <= limit, feature
-
-    def test_shapes_from_the_camera_come_back_to_two_millimetres(self):
-        pytest.importorskip("mujoco")
-        import shape_obs_envs  # noqa: F401
-
-        features = [Fourier(frame="base"), BSpline(frame="base")]
-        env: Any = ShapeObservation(gym.make("ShapeObs/Cable-v0", camera=[160, 120]), features=["points3d", *features])
-        env.reset(seed=1)
-        errors, rng = [], np.random.default_rng(0)
-        for _ in range(4):
-            action = rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)
-            for _ in range(8):
-                env.step(action)
-            errors.append([feature.error(env.detection.shapes[0], env.contexts[0]) for feature in features])
-        env.close()
-        assert np.all(np.mean(errors, axis=0) <= 0.002)
 
 
 @each_fit

@@ -6,12 +6,11 @@ import re
 from dataclasses import replace
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from drawn_shapes import OVERHEAD, shape
 
-from shape_obs import CameraModel, ShapeObservation, SpecError
+from shape_obs import CameraModel
 from shape_obs.features import FeatureContext, Points2D, Points2DNormalized, Points3D
 from shape_obs.geometry.topology import Chain
 
@@ -65,11 +64,6 @@ class TestAnchors:
         np.testing.assert_allclose(values(Points2D(origin="mark")), SEEN - PIXEL)
         np.testing.assert_allclose(values(Points2D(origin="anchor")), SEEN - [219.5, 119.5], atol=1e-6)
 
-    def test_normalised_it_is_a_share_of_half_the_image(self):
-        for origin in ("gripper1", "mark", "anchor"):
-            in_pixels = values(Points2D(origin=origin))
-            np.testing.assert_allclose(values(Points2DNormalized(origin=origin)), in_pixels / [160, 120], atol=1e-6)
-
     def test_in_metres(self):
         base = values(Points3D(frame="base"))
         np.testing.assert_allclose(values(Points3D(frame="base", origin="gripper1")), base - GRIPPER, atol=1e-6)
@@ -77,11 +71,6 @@ class TestAnchors:
         # The camera looks down from one metre: its y is the base's, mirrored.
         camera = values(Points3D()) - [0.1, -0.05, 1.0]
         np.testing.assert_allclose(values(Points3D(origin="gripper1")), camera, atol=1e-6)
-
-    def test_it_moves_with_the_anchor(self):
-        for feature in (Points2D(origin="gripper1"), Points3D(frame="base", origin="gripper1"), Points3D("anchor")):
-            assert feature.anchored
-        assert not Points3D("base").anchored
 
     @pytest.mark.parametrize(
         ("feature", "view", "message"),
@@ -109,30 +98,3 @@ class TestAnchors:
     def test_mistakes_raise_an_error(self, feature, view, message):
         with pytest.raises(ValueError, match=re.escape(message)):
             feature.compute(rope(), view)
-
-    def test_the_anchor_frame_has_an_origin_already(self):
-        with pytest.raises(
-            SpecError, match="frame 'anchor' already has an origin; use frame='base' with origin='mark'"
-        ):
-            Points3D("anchor", origin="mark")
-
-
-def test_the_end_of_a_cable_is_where_the_second_gripper_holds_it():
-    pytest.importorskip("mujoco")
-    import shape_obs_envs  # noqa: F401
-
-    bare = gym.make("ShapeObs/Cable-v0", camera=[160, 120], renderer="rays")
-    with_origin = {"kind": "points3d", "frame": "base", "origin": "gripper1"}
-    env = ShapeObservation(bare, features=["points3d", with_origin])
-    observation, _ = env.reset(seed=2)
-    for action in np.random.default_rng(0).uniform(-1, 1, (4, 6)).astype(np.float32):
-        observation, *_ = env.step(action)
-        assert env.detection is not None
-        assert env.detection.ok
-        relative = observation["observation"][60:].reshape(20, 3)
-        assert np.linalg.norm(relative[-1]) < 0.02
-        assert np.linalg.norm(relative[0]) > 0.1
-        found = env.detection.shapes[0].points3d
-        held = env.get_wrapper_attr("camera_model").to_base(found) - env.get_wrapper_attr("anchors")["gripper1"]
-        np.testing.assert_allclose(relative, held, atol=1e-5)
-    env.close()

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from shape_obs import CameraModel, Centerline, Feature, Shape
+from shape_obs import CameraModel, Centerline, Shape
 from shape_obs.features import (
     Age,
     FeatureContext,
@@ -26,7 +26,7 @@ from shape_obs.features import (
     Valid,
     read_features,
 )
-from shape_obs.geometry.topology import Chain, Topology
+from shape_obs.geometry.topology import Chain
 
 WORKSPACE = ((-0.5, -0.4, -0.1), (0.5, 0.4, 0.3))
 
@@ -69,20 +69,6 @@ def test_bounds_fit_the_values_and_are_finite(feature, view):
         assert (low < high).all()
 
 
-def test_the_edge_of_the_image_is_the_edge_of_the_bounds(view):
-    corners = shape([[-0.5, -0.5], [319.5, 239.5]])
-    low, high = Points2D().bounds(Chain(2), view)
-    np.testing.assert_array_equal(Points2D().compute(corners, view), [low[0], low[1], high[2], high[3]])
-    np.testing.assert_allclose(Points2DNormalized().compute(corners, view), [-1, -1, 1, 1])
-
-
-def test_pixels_are_u_then_v_point_by_point(view):
-    np.testing.assert_array_equal(Points2D().compute(shape([[1, 2], [3, 4]]), view), [1, 2, 3, 4])
-    np.testing.assert_allclose(
-        Points2DNormalized().compute(shape([[159.5, 119.5], [239.5, 119.5]]), view), [0, 0, 0.5, 0]
-    )
-
-
 def test_metres_in_three_frames(view):
     # the camera hangs one metre above the base's origin and looks straight down
     points = shape(points3d=[[0.1, 0.2, 0.9], [0, 0, 1]])
@@ -94,23 +80,6 @@ def test_metres_in_three_frames(view):
     np.testing.assert_allclose(anchor, base - np.tile([0.1, 0.0, 0.2], 2), atol=1e-6)
 
 
-def test_the_base_frame_follows_the_camera_of_the_moment(view, overhead):
-    raised = overhead.transform_camera_to_base.copy()
-    raised[2, 3] = 1.5
-    moved = replace(view, camera=CameraModel(overhead.intrinsics, raised))
-    feature, points = Points3D(frame="base"), shape()
-    np.testing.assert_allclose(
-        feature.compute(points, moved) - feature.compute(points, view), [0, 0, 0.5] * 2, atol=1e-6
-    )
-
-
-def test_bounds_in_the_camera_frame_are_what_it_sees(view):
-    low, high = Points3D(max_depth=2.0).bounds(Chain(1), view)
-    edge = view.camera.intrinsics.deproject([[-0.5, -0.5], [319.5, 239.5]], [2.0, 2.0])  # type: ignore[union-attr]
-    np.testing.assert_allclose(low, [edge[0, 0], edge[0, 1], 0])
-    np.testing.assert_allclose(high, [edge[1, 0], edge[1, 1], 2])
-
-
 @given(st.floats(0, 319), st.floats(0, 239), st.floats(0.01, 2.0))
 def test_every_point_in_view_is_within_bounds(overhead, u, v, z):
     view = FeatureContext(320, 240, overhead)
@@ -120,13 +89,6 @@ def test_every_point_in_view_is_within_bounds(overhead, u, v, z):
         values = Points3D(frame=frame).compute(shape([[u, v]], point), view)
         assert (values >= low - 1e-6).all()
         assert (values <= high + 1e-6).all()
-
-
-def test_bounds_in_the_base_frame_are_the_workspace(view):
-    low, high = Points3D(frame="base").bounds(Chain(2), view)
-    np.testing.assert_array_equal([low, high], [WORKSPACE[0] * 2, WORKSPACE[1] * 2])
-    low, high = Points3D(frame="anchor").bounds(Chain(1), view)
-    np.testing.assert_allclose([low, high], [[-1, -0.8, -0.4], [1, 0.8, 0.4]])
 
 
 def test_trust_as_numbers(view):
@@ -235,10 +197,6 @@ class TestVector:
         assert (values >= vector.low).all()
         assert (values <= vector.high).all()
 
-    def test_empty_bounds_raise_an_error(self, view):
-        with pytest.raises(ValueError, match="bounds must be finite and low < high"):
-            self.vector(replace(view, max_age=0.0), "age")
-
 
 def test_one_feature_stands_for_a_list_of_it():
     assert (
@@ -248,24 +206,3 @@ def test_one_feature_stands_for_a_list_of_it():
         read_features(["okay"])
     with pytest.raises(ValueError, match="expected a mapping or a Feature, got 3"):
         read_features(3)  # type: ignore[arg-type]
-
-
-def test_a_feature_of_ones_own(view):
-    from dataclasses import dataclass
-
-    @dataclass(frozen=True)
-    class Length(Feature, kind="test-length"):
-        longest: float = 100.0
-
-        def bounds(self, layout: Topology, context: FeatureContext):
-            return np.zeros(1), np.full(1, self.longest)
-
-        def compute(self, shape: Shape, context: FeatureContext):
-            return np.array([np.linalg.norm(np.diff(shape.points2d, axis=0), axis=1).sum()])
-
-    try:
-        vector = FeatureVector(read_features([{"kind": "test-length", "longest": 50}]), [Centerline(n=2)], view)
-        assert vector.compute([shape([[0, 0], [3, 4]])], [view]).tolist() == [5.0]
-        assert vector.high.tolist() == [50.0]
-    finally:
-        Feature._members.pop("test-length")

@@ -11,7 +11,6 @@ import pytest
 from rope_env import BLUE, RopeEnv
 
 from shape_obs import Feature, ShapeObservation
-from shape_obs.features import FeatureContext, FeatureVector
 
 SWITCH: dict[str, Any] = {}
 RIGHT = {"bounds": (np.zeros(2), np.ones(2)), "compute": np.array([0.25, 0.75])}
@@ -19,15 +18,6 @@ RIGHT = {"bounds": (np.zeros(2), np.ones(2)), "compute": np.array([0.25, 0.75])}
 
 @dataclass(frozen=True)
 class Own(Feature, kind="test_own"):
-    def bounds(self, layout, context):
-        return SWITCH["bounds"]
-
-    def compute(self, shape, context):
-        return SWITCH["compute"]
-
-
-@dataclass(frozen=True)
-class Unnamed(Feature):
     def bounds(self, layout, context):
         return SWITCH["bounds"]
 
@@ -92,16 +82,6 @@ def test_wrong_values_are_an_error_in_every_frame(values, error, message, when):
     SWITCH["compute"] = values
     with pytest.raises(error, match=f"^feature 'test_own' of shape 'centerline': .*{message}"):
         env.reset(seed=0) if when == "first frame" else env.step(env.action_space.sample())
-
-
-def test_a_feature_without_a_kind_is_named_by_its_class():
-    env = wrapped()
-    env.reset(seed=0)
-    assert env.detection is not None
-    vector = FeatureVector([Unnamed()], env.detector.shapes, FeatureContext(160, 120))
-    SWITCH["compute"] = np.zeros(3)
-    with pytest.raises(ValueError, match=r"^feature 'Unnamed' of shape 'centerline': compute"):
-        vector.compute(env.detection.shapes, env.contexts)
 
 
 @pytest.mark.parametrize("values", [np.array([0, 1]), np.array([False, True]), np.array([0.25, 0.75], np.float32)])

@@ -15,9 +15,9 @@ from gymnasium.envs.registration import EnvSpec
 from known_ropes import MODELS, WORKSPACE, N, fit, ropes, seen
 from rope_env import run, wrapped
 
-from shape_obs import Centerline, schema_hash
-from shape_obs.features import FeatureContext, FeatureVector, PrincipalComponents, read_features
-from shape_obs.geometry.topology import Chain, Ring
+from shape_obs import schema_hash
+from shape_obs.features import FeatureContext, PrincipalComponents, read_features
+from shape_obs.geometry.topology import Chain
 
 
 @pytest.fixture
@@ -57,40 +57,6 @@ class TestFeature:
         assert feature.error(shape, view) < (1e-3 if aligned else 5e-3)
         back = feature.reconstruct(feature.compute(shape, view), Chain(N), view)
         assert back.shape == (N, 3)
-
-    def test_bounds_are_reached_at_the_corners_of_the_box(self, file, view, overhead):
-        feature = PrincipalComponents(file)
-        corner = np.where(feature.model.components[0] > 0, WORKSPACE[1], WORKSPACE[0])
-        high = feature.bounds(Chain(N), view)[1]
-        np.testing.assert_allclose(feature.compute(seen(corner, overhead), view)[0], high[0], rtol=1e-5)
-
-    @pytest.mark.parametrize("aligned", [False, True])
-    def test_points_that_coincide_or_are_unknown(self, tmp_path, view, overhead, aligned):
-        MODELS[None, aligned].save(tmp_path / "a.npz")
-        feature = PrincipalComponents(str(tmp_path / "a.npz"))
-        nothing = feature.compute(seen(np.zeros((N, 3)), overhead, np.arange(N) < 1), view)
-        assert np.isnan(nothing).all()
-        for valid in (True, np.arange(N) < 2):
-            values = feature.compute(seen(np.zeros((N, 3)), overhead, valid), view)
-            assert len(values) == len(nothing)
-        bounded = FeatureVector([feature], [Centerline(n=N)], view)
-        assert np.isfinite(bounded.compute([seen(np.zeros((N, 3)), overhead)], [view])).all()
-
-    def test_another_frame_origin_or_layout_is_refused(self, file, view, overhead):
-        assert PrincipalComponents(file, frame="base").coordinates.frame == "base"
-        with pytest.raises(ValueError, match=r"fitted with frame 'base', but frame='camera' .* fit again with --frame"):
-            PrincipalComponents(file, frame="camera")
-        with pytest.raises(ValueError, match="fitted with origin None, but origin='centroid'"):
-            PrincipalComponents(file, origin="centroid")
-        feature = PrincipalComponents(file)
-        message = r"was fitted to shapes of Chain\(count=20\), but this one is Ring\(count=20\)"
-        for failing in (feature.bounds, feature.units):
-            with pytest.raises(ValueError, match=message):
-                failing(Ring(N), view)
-        with pytest.raises(ValueError, match=message):
-            feature.reconstruct(np.zeros(4), Ring(N), view)
-        with pytest.raises(ValueError, match=r"expected 4 values, got shape \(5,\)"):
-            feature.reconstruct(np.zeros(5), Chain(N), view)
 
     def test_the_schema_follows_the_content_not_the_place(self, file, tmp_path, monkeypatch):
         def hashed(path: Any) -> str:

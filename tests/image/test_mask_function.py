@@ -15,7 +15,6 @@ from shape_obs import (
     Contour,
     HSVRange,
     Rectangle,
-    Segmentation,
     ShapeDetector,
     SpecError,
     load_config,
@@ -91,32 +90,6 @@ def test_its_mask_gives_the_points_of_the_same_colour_rule(blue, wave):
     hsv = ShapeDetector(segmentation=HSVRange(BLUE.low, BLUE.high, **rule), roi=roi)
     for image in moving:
         np.testing.assert_array_equal(own.detect(image).shapes[0].pixels, hsv.detect(image).shapes[0].pixels)
-
-
-def test_a_part_outside_the_region_of_interest_does_not_count(blue):
-    detector = ShapeDetector(
-        segmentation=lambda rgb, depth: np.ones(rgb.shape[:2], bool), roi=Rectangle(0, 100, 320, 9)
-    )
-    shape = detector.detect(blue).shapes[0]
-    assert shape.ok
-    assert shape.pixels[:, 1].min() > 99
-
-
-def test_a_subclass_can_read_the_whole_image_too(blue):
-    windows = []
-
-    class Network(Segmentation, kind="test_network"):
-        whole_image = True
-
-        def threshold(self, frame, window):
-            windows.append(window)
-            assert frame.rgb is not None
-            return is_blue(frame.rgb, None)[window.slices]
-
-    detector = ShapeDetector(segmentation=Network())
-    for _ in range(3):
-        assert detector.detect(blue).ok
-    assert windows == [(0, 0, 320, 240)] * 3
 
 
 @pytest.mark.parametrize("given", ["function", "path", "mapping", "spec", "object"])
@@ -229,11 +202,3 @@ def test_a_function_of_the_script_itself_is_not_saved_to_a_file(tmp_path):
 def test_what_is_no_function_is_an_error(module, rule, error, message):
     with pytest.raises(error, match=message):
         ShapeDetector(["centerline"], rule)
-
-
-def test_an_error_in_the_function_is_the_users_to_see(blue):
-    def broken(rgb, depth):
-        raise ZeroDivisionError("in the model")
-
-    with pytest.raises(ZeroDivisionError, match="in the model"):
-        ShapeDetector(segmentation=broken).detect(blue)

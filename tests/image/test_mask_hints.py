@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from rope_env import RopeEnv
 
 from shape_obs import (
     Centerline,
-    ColourRule,
     DepthRange,
-    GrayRange,
     HSVRange,
     Rectangle,
     ShapeDetector,
@@ -45,16 +41,6 @@ def test_swapped_channels(blue, wave):
     )
 
 
-def test_swapped_channels_of_a_rule_of_the_users(blue):
-    @dataclass(frozen=True)
-    class Bluish(ColourRule, kind="test_bluish"):
-        def matches(self, rgb):
-            return rgb[..., 2] > rgb[..., 0].astype(int) + 60
-
-    reason = reason_of(Bluish(), np.ascontiguousarray(blue[..., ::-1]))
-    assert "0 of 76800 pixels match segmentation 'test_bluish'; with red and blue swapped" in reason
-
-
 def test_a_hue_in_degrees(blue, wave):
     green, count = painted(blue, (40, 180, 60)), np.count_nonzero(wave.mask)
     assert (
@@ -80,11 +66,6 @@ def test_a_colour_on_another_scale_is_refused_with_the_right_one(low, message):
         HSVRange(low, (170, 255, 255))
 
 
-def test_whole_numbers_that_look_like_fractions(blue):
-    assert "its bounds look like 0...1, but s and v are 0...255" in reason_of(HSVRange((0, 0, 0), (1, 1, 1)), blue)
-    assert "its bounds look like 0...1, but gray is 0...255" in reason_of(GrayRange(0, 1), blue)
-
-
 def test_pixels_outside_the_region_of_interest_and_small_pieces(blue, wave):
     count = np.count_nonzero(wave.mask)
     reason = reason_of(BLUE, blue, roi=Rectangle(0, 0, 320, 50))
@@ -105,20 +86,6 @@ def test_depth_in_a_wrong_unit(blue):
     reason = reason_of(DepthRange(0.3, 0.9), None, np.full(blue.shape[:2], 1500, np.uint16))
     assert reason.endswith("half of the valid depth is below 1.5 m")
     assert reason_of(DepthRange(0.3, 0.9), None, 0 * far).endswith("no pixel has a valid depth")
-
-
-def test_an_empty_mask_of_a_function(blue):
-    def nothing(rgb, depth):
-        return np.zeros(rgb.shape[:2], bool)
-
-    assert "the mask is empty: 0 of 76800 pixels match segmentation " in reason_of(nothing, blue)
-
-
-def test_near_empty_masks_have_hints_too(blue):
-    speck = np.full_like(blue, 150)
-    speck[50:53, 50:54] = (30, 60, 200)
-    reason = reason_of(HSVRange(BLUE.low, BLUE.high, min_area=1), speck)
-    assert reason.startswith("the mask has 12 pixels, at least 16 are needed: 12 of 76800 pixels match segmentation")
 
 
 @pytest.mark.parametrize("shapes", [[Centerline()], [Centerline(count=2)], [Centerline(lift="cloud")]])

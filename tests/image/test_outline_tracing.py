@@ -46,7 +46,7 @@ def contours(mask):
 
 
 def test_outlines_are_those_of_opencv():
-    for mask in masks(300):
+    for mask in masks(100):
         _, areas, found = traced(mask)
         outlines, _, _ = contours(mask)
         assert len(found.stops) == len(areas) == len(outlines)
@@ -60,7 +60,7 @@ def test_outlines_are_those_of_opencv():
 
 def test_holes_are_those_of_opencv():
     seen = 0
-    for mask in masks(300):
+    for mask in masks(100):
         _, _, found = traced(mask)
         _, holes, owners = contours(mask)
         assert len(found.holes) == len(holes)
@@ -73,11 +73,11 @@ def test_holes_are_those_of_opencv():
             assert owners[int(column), int(row)] == tuple(found.outlines[starts[int(component)]].astype(int).tolist())
             np.testing.assert_array_equal(trace_hole(mask, int(column), int(row), LEFT, TOP), expected)
             seen += 1
-    assert seen > 500
+    assert seen > 150
 
 
 def test_small_holes_are_filled_as_opencv_fills_them():
-    for mask in masks(300):
+    for mask in masks(100):
         runs, _, found = traced(mask)
         expected, left, filled = mask.copy(), 0, mask.copy()
         for hole in contours(mask)[1].values():
@@ -87,10 +87,3 @@ def test_small_holes_are_filled_as_opencv_fills_them():
                 left += 1
         assert fill_holes(filled, runs, found.holes, LEFT, TOP, SPECK, -1.0) == left
         np.testing.assert_array_equal(filled, expected)
-
-
-def test_runs_along_columns_are_counted():
-    for mask in masks(100):
-        count = find_components(mask, LEFT, TOP, 1, 1, 0.0)[4]
-        above = np.pad(mask, ((1, 0), (0, 0)))[:-1]
-        assert count == np.count_nonzero((mask > 0) & (above == 0))

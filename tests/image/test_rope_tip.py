@@ -58,27 +58,6 @@ def test_the_way_to_the_tip_of_a_thin_rope_does_not_turn_round(bend, turn, short
     assert np.linalg.norm(chain[[0, -1]] - axis[[0, -1]], axis=1).max() < width
 
 
-@given(bend=st.floats(-1.5, 1.5), turn=st.floats(0, 6.28), over=st.integers(1, 4))
-def test_nodes_beyond_the_rope_are_cut(bend, turn, over):
-    width = 10
-    axis, mask = rope(bend, width, turn=turn)
-    ahead = axis[-1] + np.arange(1, over + 1)[:, None] * width * (axis[-1] - axis[-2])
-    chain = extended(np.concatenate([axis[::width], ahead]), mask, float(width))
-    tip = axis[-1] + (axis[-1] - axis[-2]) * width / 2
-    assert np.linalg.norm(chain[-1] - tip) < 0.25 * width + 1
-
-
-@pytest.mark.parametrize("gap", [2, 5])
-def test_another_rope_nearby_is_not_followed(gap):
-    mask = np.zeros((SIZE, SIZE), np.uint8)
-    mask[100:110, 50:200] = 1
-    mask[100 : 110 + gap, 200 + gap : 350] = 1  # in line with it, but not connected
-    mask[110 + gap : 120 + gap, 50:350] = 1  # along its side
-    nodes = np.stack([np.arange(60.0, 181.0, 10), np.full(13, 104.5)], axis=1) + (LEFT, TOP)
-    chain = extended(nodes, mask, 10.0)
-    np.testing.assert_allclose(chain[[0, -1]] - (LEFT, TOP), [(49.5, 104.5), (199.5, 104.5)], atol=1.0)
-
-
 @pytest.mark.parametrize("width", [1.2, 1.5])
 def test_the_tips_of_a_thin_rope_lie_where_it_ends(width):
     off = []

@@ -61,29 +61,6 @@ def test_pixels_go_to_the_nearest_ribbons(slack):
     assert same >= 0.97 * total
 
 
-def test_what_sticks_out_goes_along_the_mask_so_far():
-    mask = np.zeros((40, 60), np.uint8)
-    mask[18:23, 5:55] = 255
-    mask[4:18, 30:33] = 255
-    ribbon = [line((5, 20), (54, 20))]
-    for spread in (0, 5, 40):
-        owners, _, _ = shared(mask, ribbon, 3.0, 1.0, 0.5, spread)
-        assert owners[17, 31] == 1
-        assert (owners[6, 31] == 1) == (spread == 40)
-        assert (owners[12, 31] == 1) == (spread >= 5)
-
-
-def test_a_ribbon_ends_at_its_tip_where_another_one_goes_on():
-    mask = np.zeros((60, 80), np.uint8)
-    cv2.line(mask, (5, 30), (40, 30), 255, 7)
-    cv2.line(mask, (40, 5), (40, 55), 255, 7)
-    curves = [line((5, 30), (36, 30)), line((40, 5), (40, 55), 90)]
-    owners, _, _ = shared(mask, curves, 3.5, 3.0, 0.5)
-    assert owners[30, 20] == 1
-    assert owners[30, 42] == 2
-    assert owners[33, 40] == 2
-
-
 def test_a_part_is_a_region_of_its_own():
     mask = np.zeros((60, 80), np.uint8)
     cv2.line(mask, (10, 10), (70, 10), 255, 5)

@@ -1,4 +1,4 @@
-"""Every rope of a mask, cold: strands, gaps, rings and what is refused."""
+"""Every rope of a mask, cold: strands, gaps, rings, looks, and what is refused."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from shape_obs import Centerline, ShapeDetector
+from shape_obs import Centerline, Detection, ShapeDetector
 from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
 from shape_obs.initialization.objects import SceneObject
@@ -16,16 +16,17 @@ from tests.benchmarks.rope_scores import judge
 from tests.benchmarks.scenes.several_ropes import several_ropes
 
 Mask = npt.NDArray[np.uint8]
+Place = tuple[float, float]
 
 
 def ropes(mask: Mask) -> list[SceneObject]:
     return find_ropes(find_region(mask, Window(0, 0, mask.shape[1], mask.shape[0]), 40, 0.02))[0]
 
 
-def lines(*ends: tuple[tuple[int, int], tuple[int, int]], width: int = 9) -> Mask:
-    mask = np.zeros((240, 320), np.uint8)
+def lines(*ends: tuple[Place, Place], width: int = 9) -> Mask:
+    mask = np.zeros((300, 400), np.uint8)
     for start, end in ends:
-        cv2.line(mask, start, end, 255, width)
+        cv2.line(mask, (round(start[0]), round(start[1])), (round(end[0]), round(end[1])), 255, width)
     return mask
 
 
@@ -97,7 +98,7 @@ def test_ropes_of_scenes_are_found_as_they_run():
     """Run a sample of the measurement `shape-obs bench claims --only several`."""
     right = total = wrong = 0
     detector = ShapeDetector([Centerline(n=160, count="all", ends="tips")])
-    for seed in range(24):
+    for seed in range(8):
         rng = np.random.default_rng(seed)
         scene = several_ropes(rng, 2 + seed % 3, int(rng.integers(0, 7)))
         detector.reset()
@@ -106,3 +107,118 @@ def test_ropes_of_scenes_are_found_as_they_run():
         right, total, wrong = right + sum(verdict.right), total + len(verdict.right), wrong + verdict.wrong
     assert right >= 0.9 * total
     assert wrong <= 0.1 * total
+
+
+Image = npt.NDArray[np.uint8]
+Curve = npt.NDArray[np.float64]
+
+RED, BLUE, GROUND = (200, 40, 40), (40, 60, 200), (190, 185, 180)
+
+
+def bent(down: bool) -> Curve:
+    """Return one of two curves that touch in the middle, where each turns away from the other one."""
+    u = np.linspace(-150, 150, 400)
+    v = np.sqrt(u * u + 30**2) - 30
+    return np.stack([200 + u, 150 + (v if down else -v)], axis=1)
+
+
+def scene(widths: tuple[int, int], colours: tuple[tuple[int, int, int], ...]) -> tuple[Image, Image]:
+    """Return the mask and the picture of two ropes that touch where both turn."""
+    mask, rgb = np.zeros((300, 400), np.uint8), np.full((300, 400, 3), GROUND, np.uint8)
+    for down, width, colour in zip((False, True), widths, colours, strict=True):
+        points = [np.round(bent(down) * 16).astype(np.int32)]
+        cv2.polylines(mask, points, False, 255, width, cv2.LINE_8, 4)
+        cv2.polylines(rgb, points, False, colour, width, cv2.LINE_8, 4)
+    return mask, rgb
+
+
+def detect(mask: Image, rgb: Image | None = None) -> Detection:
+    return ShapeDetector([Centerline(name="rope", n=60, count="all", ends="tips")]).detect_mask(mask, rgb=rgb)
+
+
+def turn_apart(found: Detection) -> bool:
+    """Return whether two ropes were found, and each of them stays on its side."""
+    curves = [shape.pixels for shape in found if shape.ok]
+    sides = sorted(float(curve[:, 1].mean()) for curve in curves)
+    return len(curves) == 2 and sides[0] < 110 and sides[1] > 190
+
+
+def test_ropes_of_one_look_go_straight_on():
+    mask, rgb = scene((9, 9), (RED, RED))
+    assert not turn_apart(detect(mask, None))
+    assert not turn_apart(detect(mask, rgb))
+
+
+def test_ropes_of_unlike_colour_are_never_joined():
+    mask, rgb = scene((9, 9), (RED, BLUE))
+    assert not turn_apart(detect(mask, None))
+    assert turn_apart(detect(mask, rgb))
+
+
+@pytest.mark.parametrize("widths", [(14, 7), (16, 9), (9, 5)])
+def test_ropes_of_unlike_width_are_never_joined(widths):
+    assert turn_apart(detect(scene(widths, (RED, RED))[0], None))
+
+
+def test_pieces_of_unlike_colour_are_not_joined_over_a_gap():
+    mask, rgb = np.zeros((200, 400), np.uint8), np.full((200, 400, 3), GROUND, np.uint8)
+    for start, end, colour in ((30, 190, RED), (204, 370, BLUE)):
+        cv2.line(mask, (start, 100), (end, 100), 255, 9)
+        cv2.line(rgb, (start, 100), (end, 100), colour, 9)
+    assert len(detect(mask, None)) == 1
+    assert len(detect(mask, rgb)) == 2
+
+
+def test_the_picture_has_the_size_of_the_mask():
+    mask, rgb = scene((9, 9), (RED, BLUE))
+    with pytest.raises(ValueError, match="the mask has 400 x 300 pixels, rgb 398 x 300: they must be equal"):
+        detect(mask, np.ascontiguousarray(rgb[:, 2:]))
+
+
+def beside(angle: float, long: float = 110.0) -> tuple[Place, Place]:
+    """Return a rope that ends on one along v = 200, at an angle in degrees."""
+    way = np.deg2rad(angle)
+    return (200.0, 200.0), (200.0 + long * np.cos(way), 200.0 - long * np.sin(way))
+
+
+@pytest.mark.parametrize("angle", [90, 80, 105])
+def test_a_rope_that_ends_on_another_one_at_a_wide_angle_is_found(angle):
+    found = detect(lines(((30, 200), (370, 200)), beside(angle)))
+    assert [shape.ok for shape in found] == [True, True]
+
+
+@pytest.mark.parametrize("angle", [40, 50, 130])
+def test_a_rope_that_ends_on_another_one_aslant_is_refused_alone(angle):
+    found = detect(lines(((30, 200), (370, 200)), beside(angle)))
+    assert sorted(shape.ok for shape in found) == [False, True]
+    assert any("it ends on another rope, and may as well go on there" in shape.reason for shape in found)
+
+
+def test_a_rope_that_ends_on_another_one_with_a_bump_beyond_is_refused():
+    """The bump may be the rope's own tip."""
+    mask = lines(((30, 200), (370, 200)), beside(90))
+    cv2.line(mask, (200, 200), (200, 210), 255, 9)
+    found = detect(mask)
+    assert sorted(shape.ok for shape in found) == [False, True]
+    assert any("something sticks out beyond it" in shape.reason for shape in found)
+
+
+def test_two_ropes_that_end_on_a_third_next_to_each_other_are_refused():
+    mask = lines(((30, 200), (370, 200)), ((190, 60), (190, 200)), ((214, 200), (214, 290)))
+    found = detect(mask)
+    assert sum(shape.ok for shape in found) <= 2
+    assert not any(shape.ok and 60 < shape.pixels[:, 1].mean() < 190 for shape in found) or len(found) == 2
+
+
+def test_a_rope_goes_on_beyond_another_one_over_a_gap_beside_it():
+    mask = lines(((30, 200), (370, 200)), ((200, 40), (200, 186)), ((200, 200), (200, 280)))
+    found = detect(mask)
+    assert [shape.ok for shape in found] == [True, True]
+    across = min((shape.pixels for shape in found), key=lambda points: float(np.ptp(points[:, 0])))
+    assert float(np.ptp(across[:, 1])) > 225
+
+
+def test_a_rope_that_bends_in_a_gap_of_the_mask_is_refused():
+    mask = lines(((60, 200), (190, 200)), ((204, 192), (300, 115)))
+    found = detect(mask)
+    assert not any(shape.ok and np.ptp(shape.pixels[:, 0]) > 200 for shape in found)

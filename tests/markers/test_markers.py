@@ -12,7 +12,6 @@ import pytest
 
 from shape_obs import HSVRange, MarkerLayout, Markers, Polygon, ShapeDetector, ShapeLostError, SpecError, TopView
 from shape_obs.markers import MarkersNotSeen, find_markers, fourth_marker
-from tests.benchmarks.calibration import top
 from tests.benchmarks.scenes.tabletop import CAMERA, LAYOUT, MarkerScene, marker_scene
 
 BLUE = HSVRange((100, 80, 40), (130, 255, 255))
@@ -69,9 +68,11 @@ def picture(scene) -> np.ndarray:
 
 class TestTopView:
     def test_table_within_two_millimetres(self):
-        results = [top(seed) for seed in range(10)]
-        assert all(result.found for result in results)
-        assert max(result.mm.max() for result in results) <= 0.5  # the claim is 2 mm; 40 scenes showed 0.12
+        for seed in range(6):
+            scene = marker_scene(seed)
+            view, places = TopView.find(scene.rgb, scene.layout), scene.grid()
+            assert len(view.seen) == 4
+            assert np.linalg.norm(view.to_table(scene.to_pixels(places)) - places, axis=1).max() <= 0.0005
 
     def test_to_pixels_is_the_way_back(self, scene):
         view = TopView.find(scene.rgb, LAYOUT)
@@ -109,9 +110,6 @@ class TestTopView:
             MarkerLayout.rectangle(0.05, 0.5, 0.5, dictionary="4x4")
         with pytest.raises(ValueError, match=r"its own id, got \[0, 1, 1, 3\]"):
             MarkerLayout.rectangle(0.05, 0.5, 0.5, ids=(0, 1, 1, 3))
-
-    def test_layout_travels_as_a_mapping(self):
-        assert MarkerLayout.from_dict(LAYOUT.to_dict()) == LAYOUT
 
 
 @pytest.mark.parametrize("hidden", range(4))
@@ -177,28 +175,11 @@ class TestRegion:
         assert shape.reason == "markers 0, 1, 3 not seen"
         assert found_rope(finder.detect(picture), scene)
 
-    def test_between_the_glances_it_stands_still(self, scene, picture):
-        roi = Markers(every=5)
-        place = roi.place(picture, None)
-        for _ in range(12):
-            noisy = np.clip(picture + np.random.default_rng(0).normal(0, 2, picture.shape), 0, 255).astype(np.uint8)
-            after = roi.place(noisy, place.memory)
-            assert after.region == place.region
-            place = after
-
     def test_reset_forgets_the_place(self, scene, picture):
         finder = detector()
         finder.detect(picture)
         finder.reset()
         assert finder.detect(hide(picture, scene, 0, 1)).shapes[0].reason == "markers 0, 1 not seen"
-
-    def test_another_size_of_the_image_is_another_place(self, scene, picture):
-        finder = detector()
-        finder.detect(picture)
-        large = cv2.resize(picture, (1280, 960))
-        assert 2 * np.nanmean(finder.detect(picture).shapes[0].points2d) == pytest.approx(
-            np.nanmean(finder.detect(large).shapes[0].points2d), rel=0.05
-        )
 
     @pytest.mark.parametrize("twin", [copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))])
     def test_copies_go_on_identically(self, scene, picture, twin):
@@ -215,10 +196,6 @@ class TestRegion:
         )
         shape = detector().detect(strewn.rgb).shapes[0]
         assert shape.reason == "markers 0, 1, 2, 3 do not stand in the corners of an area"
-
-    def test_masks_alone_have_no_markers(self):
-        with pytest.raises(ValueError, match=r"roi 'markers' needs the colour image .* give a roi 'polygon'"):
-            detector().detect_mask(np.zeros((480, 640), np.uint8))
 
     @pytest.mark.parametrize(
         ("fields", "message"),

@@ -13,7 +13,6 @@ from PIL import Image, PdfParser
 
 from shape_obs.calibration import Board
 from shape_obs.markers import find_markers
-from shape_obs.markers.sheet import PER_MM, marker_pages, write_pages
 
 
 class TestSheets:
@@ -38,12 +37,6 @@ class TestSheets:
             sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1) / per_mm
             assert sides == pytest.approx(np.full(4, 55), abs=0.05)
         assert [each.name for each in tmp_path.iterdir()] == [path.name]
-
-    def test_the_scale_is_100_mm_long(self, tmp_path):
-        write_pages(tmp_path / "sheet.png", marker_pages([0], 60))
-        ((page, per_mm),) = self.pictures(tmp_path / "sheet.png")
-        runs = np.diff(np.flatnonzero(np.diff(np.r_[255, page[-round(9 * per_mm)], 255].astype(int))))
-        assert runs.max() / per_mm == pytest.approx(100, abs=0.2)
 
     def test_what_does_not_fit_goes_to_further_pages_of_a_pdf(self, tmp_path, capsys):
         assert run("markers", "-o", tmp_path / "s.pdf", "--size", 100, "--ids", 0, 1, 2) == 0
@@ -82,11 +75,6 @@ class TestSheets:
         assert run("markers", *words) == 2
         assert message in capsys.readouterr().err
         assert not list(tmp_path.iterdir())
-
-    def test_the_resolution_makes_every_tenth_of_a_millimetre_a_pixel(self):
-        page = marker_pages([7], 43.26)[0]
-        corners = find_markers(page)[7]
-        assert np.ptp(corners[:, 0]) / PER_MM == pytest.approx(43.3, abs=0.02)
 
 
 def pdf(path: Path) -> PdfParser.PdfParser:

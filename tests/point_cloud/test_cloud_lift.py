@@ -11,19 +11,9 @@ from shape_obs import Centerline, Contour, Intrinsics, ShapeDetector, Surface
 from shape_obs.geometry.polyline import resample
 from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
-from shape_obs.point_cloud.cloud import Cloud
 from shape_obs.point_cloud.deprojection import deproject
-from tests.benchmarks.scenes.clouds import SheetCloud, sheet_cloud
 from tests.benchmarks.scenes.images import CAMERA, tilted_rope, tilted_sheet
 from tests.benchmarks.scenes.tangles import crossing_rope
-
-
-def straight(count: int = 3000) -> np.ndarray:
-    """Return a cloud of a rope along x with 4 mm noise."""
-    draw = np.random.default_rng(1)
-    points = draw.normal(0, 0.004, (count, 3)) + (0, 0, 1)
-    points[:, 0] = draw.uniform(-0.3, 0.3, count)
-    return points
 
 
 class TestUnderAMask:
@@ -98,65 +88,7 @@ class TestUnderAMask:
         assert all(shape.points2d is not None for shape in detection)
 
 
-class TestCloud:
-    """The methods of a cloud that the configurations call."""
-
-    @pytest.fixture
-    def bent(self) -> SheetCloud:
-        return sheet_cloud(np.random.default_rng(8), bend=2.0)
-
-    def test_a_rope_is_measured(self):
-        cloud = Cloud(straight())
-        assert cloud.width == pytest.approx(0.004 * 12**0.5, rel=0.2)
-        assert cloud.ribbon_width == pytest.approx(0.004 * 24**0.5, rel=0.2)
-        assert cloud.length == pytest.approx(0.6, rel=0.15)
-        assert len(cloud.components) == 1
-
-    def test_samples_keep_the_count_and_the_centre(self):
-        cloud = Cloud(straight())
-        samples = cloud.samples
-        assert samples.weight.sum() == cloud.area == 3000
-        centre = np.average(samples.points, axis=0, weights=samples.weight)
-        np.testing.assert_allclose(centre, cloud.kept.mean(axis=0))
-        assert len(samples) < 800
-
-    def test_near_distinguishes_the_rope_from_its_surroundings(self):
-        cloud = Cloud(straight())
-        places = np.array([[0, 0, 1], [0.2, 0.003, 1], [0, 0.05, 1], [0.4, 0, 1]], dtype=float)
-        np.testing.assert_array_equal(cloud.near(places), [True, True, False, False])
-
-    def test_a_sheet_is_unrolled_without_a_mirror_image(self, bent):
-        cloud = Cloud(bent.points)
-        outline, outline_flat = cloud.sheet_outline()
-        assert outline.shape[1:] == (3,)
-        assert outline_flat.shape == (len(outline), 2)
-        assert cloud.chart.flat.shape == (len(cloud.samples), 2)
-        width, height = bent.size
-        around = np.linalg.norm(np.diff(outline_flat, axis=0, append=outline_flat[:1]), axis=1).sum()
-        assert around == pytest.approx(2 * (width + height), rel=0.05)
-        for line in (outline, outline_flat):
-            after = np.roll(line, -1, axis=0)
-            assert np.sum(line[:, 0] * after[:, 1] - line[:, 1] * after[:, 0]) > 0
-        share = np.random.default_rng(0).uniform(0.1, 0.9, (200, 2))
-        placed = cloud.chart.to_flat(
-            bent.at(share), np.argmin(_distances(bent.at(share), cloud.samples.points), axis=1)
-        )
-        true = (share - share.mean(axis=0)) * bent.size
-        u, _, v = np.linalg.svd((placed - placed.mean(axis=0)).T @ true)
-        assert np.linalg.det(u @ v) > 0
-        assert np.linalg.norm((placed - placed.mean(axis=0)) @ (u @ v) - true, axis=1).mean() < 0.008
-
-    def test_the_map_goes_back_to_the_sheet(self, bent):
-        cloud = Cloud(bent.points)
-        back = cloud.chart.to_space(cloud.chart.flat)
-        assert np.linalg.norm(back - cloud.samples.points, axis=1).mean() < 0.003
-
-
-def _distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(points[:, None] - others[None], axis=2)
-
-
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_simulated_cable_seen_as_a_cloud():
     gym = pytest.importorskip("gymnasium")
     pytest.importorskip("mujoco")

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.signal import savgol_filter
 
 from shape_obs import CameraModel, Centerline, Frame, Intrinsics, ShapeDetector
 from shape_obs.bench.scenes import Rope, draw_rope
@@ -14,10 +13,8 @@ from shape_obs.compiled import compiled
 from shape_obs.configurations.shape_points import shape_of
 from shape_obs.frame import DEPTH_TYPE, depth_images
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.polyline import straightened
 from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
-from shape_obs.point_cloud.lifting import lift_form
 from shape_obs.point_cloud.strands import gather_lifted_cells
 from shape_obs.tracking.prediction import Fit
 
@@ -86,14 +83,6 @@ def test_millimetres_and_metres_of_any_float_agree(tilted):
         tilted.depth[..., None],
     ):
         np.testing.assert_allclose(one(ShapeDetector(spec), tilted.rope.mask, depth).points3d, metres, atol=0.004)
-
-
-def test_points_are_in_the_camera_frame_wherever_the_camera_stands(tilted):
-    bare = one(ShapeDetector(), tilted.rope.mask, tilted.depth)
-    pose = np.array([[0.0, -1, 0, 3], [1, 0, 0, 4], [0, 0, 1, 5], [0, 0, 0, 1]])
-    placed = one(ShapeDetector(), tilted.rope.mask, tilted.depth, CameraModel(CAMERA, pose))
-    np.testing.assert_array_equal(bare.points3d, placed.points3d)
-    np.testing.assert_allclose(CAMERA.project(bare.points3d), bare.points2d, atol=1e-3)
 
 
 def test_a_lens_is_taken_into_account(wave):
@@ -204,31 +193,6 @@ class TestInvalidPoints:
             np.testing.assert_array_equal(shape.points3d[~shape.valid], before[~shape.valid])
             assert (~shape.valid).any()
 
-    def test_hold_has_nothing_to_hold_at_first(self, frames, intrinsics):
-        mask, _, hole = frames
-        shape = one(ShapeDetector(on_invalid="hold"), mask, hole, intrinsics)
-        assert np.isnan(shape.points3d[~shape.valid]).all()
-
-
-def test_without_a_camera_there_are_no_points_in_space(wave):
-    shape = ShapeDetector().detect_mask(wave.mask, np.full(wave.mask.shape, 0.8)).shapes[0]
-    assert shape.ok
-    assert shape.points3d is None
-
-
-@pytest.mark.parametrize("closed", [False, True])
-@pytest.mark.parametrize(("count", "window"), [(9, 9), (40, 9), (5, 3), (3, 3)])
-def test_lines_through_neighbours_are_those_of_savgol(closed, count, window):
-    values = np.random.default_rng(0).normal(size=(count, 2)).cumsum(axis=0)
-    expected = np.asarray(savgol_filter(values, window, 1, axis=0, mode="wrap" if closed else "interp"), np.float64)
-    np.testing.assert_allclose(straightened(values, window, closed), expected, atol=1e-12)
-
-
-def test_a_shape_without_any_depth_is_lost(wave, intrinsics):
-    shape = ShapeDetector().detect_mask(wave.mask, np.zeros(wave.mask.shape, np.uint16), intrinsics).shapes[0]
-    assert (shape.ok, shape.reason) == (False, "no point has depth under it")
-    assert not shape.visible.any()
-
 
 @pytest.mark.parametrize(("every", "valid"), [(3, True), (8, False)])
 def test_a_point_needs_depth_under_a_quarter_of_its_pixels(intrinsics, every, valid):
@@ -240,31 +204,6 @@ def test_a_point_needs_depth_under_a_quarter_of_its_pixels(intrinsics, every, va
     shape = ShapeDetector(Centerline(n=9)).detect_mask(mask, depth, intrinsics).shapes[0]
     assert shape.valid[0]
     assert shape.valid[3:].all() == shape.valid[3:].any() == valid
-
-
-@pytest.mark.parametrize(("known", "lifted"), [(0.45, False), (0.55, True)])
-def test_gaps_are_equal_in_metres_where_half_of_the_rope_has_depth(intrinsics, known, lifted):
-    curve = FittedCurve.through(np.stack([np.linspace(20, 300, 100), np.full(100, 120.0)], axis=1), np.zeros(100, bool))
-    z = np.where(np.arange(100) < 100 * known, 0.7, np.nan)
-    assert (lift_form(curve, z, intrinsics) is not None) is lifted
-
-
-@pytest.mark.parametrize("depth", [None, 0.7])
-def test_a_hidden_piece_is_not_visible_where_another_strand_lies_under_it(intrinsics, depth):
-    """The mask carries all of the curve, but its last third is known to be hidden."""
-    mask = np.zeros((240, 320), np.uint8)
-    mask[115:126, 10:310] = 1
-    region = find_region(mask, Window(0, 0, 320, 240), 1, 0.0)
-    points = np.stack([np.linspace(20, 300, 99), np.full(99, 120.0)], axis=1)
-    curve = FittedCurve.through(points, np.arange(99) >= 66)
-    metres = None if depth is None else np.full(mask.shape, depth)
-    frame = Frame(None, metres, None if depth is None else CameraModel(intrinsics))
-    shape = shape_of(
-        Centerline(n=9), Fit(curve, 1.0, observed=region, object_width=region.width), frame, None, "nan", 400.0
-    )
-    np.testing.assert_array_equal(shape.visible, np.arange(9) < 6)
-    np.testing.assert_array_equal(shape.valid, shape.visible)
-    assert (shape.points3d is None) == (depth is None)
 
 
 def test_a_centre_outside_the_mask_is_not_valid_though_depth_lies_near_it(intrinsics):

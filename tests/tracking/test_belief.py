@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import dijkstra
 from shape_obs import Centerline, Intrinsics, ShapeDetector
 from shape_obs.bench.scenes import resample
 from shape_obs.geometry.topology import Chain, Grid, Ring
-from shape_obs.tracking.belief import MAX_SIGMA, aged, expected_error, shortest_ways, stereo_noise
+from shape_obs.tracking.belief import MAX_SIGMA, expected_error, shortest_ways, stereo_noise
 from tests.benchmarks.scenes.ropes import random_rope
 
 
@@ -28,12 +28,6 @@ def test_the_way_to_the_nearest_known_point_is_the_shortest_along_the_layout(lay
         graph = coo_array((length, edges.T), shape=(layout.size, layout.size)).tocsr()
         oracle = dijkstra(graph, directed=False, indices=np.flatnonzero(known).astype(np.int32), min_only=True)
         np.testing.assert_allclose(shortest_ways(length, edges.astype(np.int64), known), oracle)
-
-
-def test_where_nothing_is_known_there_is_no_way():
-    edges = Chain(4).edges().astype(np.int64)
-    assert np.isinf(shortest_ways(np.zeros(3), edges, np.zeros(4, bool))).all()
-    assert not shortest_ways(np.zeros(3), edges, np.ones(4, bool)).any()
 
 
 CAMERA = Intrinsics(1280, 720, 636.0, 636.0, 639.5, 359.5)
@@ -55,27 +49,6 @@ def line(count: int, z: float, degrees: float = 0.0, step: float = 0.01) -> np.n
     return along * [np.cos(turn), 0.0, np.sin(turn)] + [0.0, 0.0, z]
 
 
-def test_errors_grow_away_from_what_is_visible_up_to_the_bound():
-    points, visible = line(20, 0.7), np.arange(20) < 8
-    sigma = expected(points, Chain(20), visible)
-    assert sigma.dtype == np.float32
-    assert np.ptp(sigma[:8]) < 1e-5
-    assert (np.diff(sigma[7:]) > 0).all()
-    assert sigma[-1] == pytest.approx(0.32 * 0.12, rel=0.05)
-    assert (expected(points, Chain(20), np.zeros(20, bool)) == MAX_SIGMA).all()
-    points[3] = np.nan
-    assert expected(points, Chain(20), visible)[3] == MAX_SIGMA
-
-
-def test_in_pixels_there_is_no_depth():
-    points, visible = np.arange(20.0)[:, None] * [10.0, 0.0], np.arange(20) < 8
-    what: Any = {"size": 300.0, "resolution": 1.0, "in_image": True, "camera": CAMERA, "diagonal": 20.0}
-    sigma = expected_error(points.astype(np.float32), None, visible, visible, Chain(20), **what)
-    np.testing.assert_allclose(sigma[:8], np.hypot(0.35, 0.15), rtol=1e-6)
-    np.testing.assert_allclose(sigma[8:10], np.hypot(np.hypot(0.35, 0.15), [3.2, 6.4]), rtol=1e-6)
-    assert sigma[-1] == 20
-
-
 def test_two_axes_come_from_the_image_and_one_from_depth():
     residual = np.hypot(0.35, 0.15)  # pixels
     for z in (0.5, 2.0):
@@ -95,22 +68,6 @@ def test_what_is_seen_aslant_is_less_sure():
     assert steep[2] == pytest.approx(np.sqrt(((1 + stretch**2) * residual**2 + noise**2 + along**2) / 3), rel=0.02)
 
 
-def test_the_steeper_a_long_rope_is_seen_the_less_sure_are_its_points():
-    rope = []
-    for turn in np.radians([0.0, 30.0, 60.0]):
-        points = line(41, 0.7, np.degrees(turn), 0.015)
-        points += [0.0, 0.0, 0.7] - points[20]
-        rope.append(float(expected(points, Chain(41))[20]))
-    by_slope = [0.013 * 0.6 * (1 - np.cos(np.radians(turn))) / np.sqrt(3) for turn in (30.0, 60.0)]
-    assert rope[1:] == pytest.approx(np.hypot(rope[0], by_slope), rel=0.1)
-    assert rope[2] > 1.5 * rope[1]
-
-
-def test_a_small_image_has_the_noise_of_the_camera_that_it_comes_from():
-    assert stereo_noise(386.0, 640) == stereo_noise(386.0 / 4, 160)
-    assert stereo_noise(2 * 386.0, 1280) == stereo_noise(386.0, 640) / 2
-
-
 def test_unequal_gaps_show_where_a_lattice_is_off():
     lattice = np.stack([*np.meshgrid(np.arange(8.0), np.arange(4.0)), np.full((4, 8), 35.0)], axis=-1) * 0.02
     even = expected(lattice.reshape(-1, 3), Grid(4, 8))
@@ -120,13 +77,6 @@ def test_unequal_gaps_show_where_a_lattice_is_off():
     assert off.argmax() == 8 + 3
     assert 0.001 < off.max() < 0.008
     assert (off > even + 1e-5).all()
-
-
-def test_what_is_not_seen_may_move():
-    sigma = np.array([0.001, 0.1], np.float32)
-    np.testing.assert_array_equal(aged(sigma, 0.0, MAX_SIGMA), sigma)
-    assert aged(sigma, 0.4, MAX_SIGMA).tolist() == pytest.approx([0.1, 0.1414], abs=1e-3)
-    assert aged(sigma, 1e300, MAX_SIGMA).tolist() == [1.0, 1.0]
 
 
 def test_visible_points_of_ropes_lie_within_it():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -11,9 +10,7 @@ import numpy as np
 import pytest
 
 from shape_obs import Centerline, Shape, ShapeDetector
-from shape_obs.geometry.curve import FittedCurve, Length, TrackHints
 from shape_obs.geometry.polyline import resample
-from shape_obs.tracking.validation import doubt_in_space
 from tests.benchmarks.scenes.hidden_ropes import Seen, camera_of, see
 
 N = 20
@@ -163,53 +160,3 @@ def test_a_rope_that_comes_too_near_for_depth_is_refused_if_its_steps_are_metres
     cloud = np.repeat(axis, 4, axis=0) + np.random.default_rng(1).normal(0, 0.002, (4 * len(axis), 3))
     detector = ShapeDetector([Centerline(n=N, ends="tips", spacing="m", length=0.5)])
     assert [detector.detect_cloud(cloud).shapes[0].reason for _ in range(3)] == ["", "", ""]
-
-
-class TestDoubts:
-    """The length in sight shows how much of a rope is hidden only where it is measured well."""
-
-    @staticmethod
-    def rope(steepest: float, **hints: object) -> FittedCurve:
-        """Return a rope of which the middle third is so many times as long in space as in the image."""
-        points = np.stack([np.linspace(20, 260, 241), np.full(241, 60.0)], axis=1)
-        climb = np.where(np.abs(np.arange(240) - 120) < 40, (steepest**2 - 1) ** 0.5, 0.0)
-        relief = np.concatenate([[0.0], np.cumsum(climb)])
-        length = Length(pixels=240.0, metres=0.5, spread_metres=0.01)
-        curve = FittedCurve(points, np.zeros(241, bool), np.arange(241.0), False, None, None, relief, 8.0)
-        return replace(curve, hints=TrackHints(length=length)._replace(**hints))
-
-    @pytest.mark.parametrize(("steepest", "refused"), [(1.0, False), (4.0, False), (8.0, True)])
-    def test_next_to_a_hidden_end_a_piece_that_is_seen_end_on_is_doubted(self, steepest, refused):
-        reason = doubt_in_space(self.rope(steepest, covered=(False, True)))
-        assert reason.startswith("an end is hidden, and the rope is") == refused
-        assert bool(reason) == refused
-        assert not doubt_in_space(self.rope(steepest, covered=(True, True)))
-
-    @pytest.mark.parametrize(("cut", "refused"), [((0.0, 1.0), False), ((1.0, 0.0), True)])
-    def test_less_is_enough_if_the_other_tip_looks_cut_rather_than_the_hidden_end_does(self, cut, refused):
-        """A piece 5 times as long as it looks counts for 2.25."""
-        reason = doubt_in_space(self.rope(5.0, covered=(False, True), cut=cut))
-        assert reason.startswith("an end is hidden, and the rope is") == refused
-
-    @pytest.mark.parametrize(("missing", "refused"), [(0.008, False), (0.03, True)])
-    def test_what_is_missing_while_no_end_is_hidden_or_folded_back_points_at_the_camera(self, missing, refused):
-        reason = doubt_in_space(self.rope(1.0, hidden=(0.0, missing)))
-        assert reason.startswith("both ends point at the camera") == refused
-        assert not doubt_in_space(self.rope(1.0, hidden=(0.0, missing), folded=(False, True)))
-        assert not doubt_in_space(self.rope(1.0, hidden=(0.0, missing), covered=(True, True)))
-
-    @pytest.mark.parametrize(("steepest", "refused"), [(4.0, False), (9.0, True)])
-    def test_a_piece_that_is_seen_end_on_may_join_two_strands_if_a_tip_looks_cut(self, steepest, refused):
-        reason = doubt_in_space(self.rope(steepest, cut=(1.0, -1.0)))
-        assert reason.startswith("a piece is seen end-on") == refused
-        assert not doubt_in_space(self.rope(steepest, cut=(-1.0, -1.0)))
-
-    def test_a_curve_may_be_shorter_by_a_measuring_error(self):
-        """The slack is what noise explains: 5 % of a short rope."""
-        assert not doubt_in_space(self.rope(1.0, stretch=1.04, slack=0.05))
-        assert doubt_in_space(self.rope(1.0, stretch=1.15, slack=0.05))
-
-    @pytest.mark.parametrize(("short", "refused"), [(0.01, False), (0.02, False), (0.04, True)])
-    def test_a_curve_that_is_too_short_by_four_deviations_of_its_length_is_refused(self, short, refused):
-        reason = doubt_in_space(self.rope(1.0, stretch=1 + short))
-        assert ("shorter than the rope, and nothing is seen to hide an end" in reason) == refused

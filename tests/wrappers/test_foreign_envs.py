@@ -11,6 +11,8 @@ from pathlib import Path
 import gymnasium_gl
 import pytest
 
+pytestmark = pytest.mark.nightly
+
 TRUTH = Path(__file__).parents[1] / "support" / "foreign_truth.py"
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "wrap-gymnasium-envs.md"
 
@@ -73,15 +75,3 @@ def test_the_page_has_the_measured_figures(measured):
         assert measured[case]["pixels"] == pytest.approx(float(pixels.removesuffix(" px")), abs=0.15)
         if metres:
             assert 1e3 * measured[case]["metres"] == pytest.approx(float(metres.removesuffix(" mm")), rel=0.25)
-
-
-def test_a_missing_package_is_named(monkeypatch):
-    monkeypatch.setattr(gymnasium_gl, "find_spec", lambda name: None)
-    assert "pip install 'gymnasium[mujoco]'" in gymnasium_gl.missing.__wrapped__()
-
-
-def test_the_environment_of_this_process_stays_as_it_is(monkeypatch):
-    monkeypatch.setenv("MUJOCO_GL", "osmesa")
-    assert gymnasium_gl.environment()["MUJOCO_GL"] == "osmesa"
-    monkeypatch.delenv("MUJOCO_GL")
-    assert gymnasium_gl.environment().get("MUJOCO_GL") == ("egl" if sys.platform.startswith("linux") else None)

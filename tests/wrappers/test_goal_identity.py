@@ -64,7 +64,7 @@ def arrive(env: ShapeObservation, seed: int, steps: int = 20) -> Any:
     ],
 )
 def test_what_is_there_is_what_was_wanted_index_for_index(kind, env, shape, most):
-    for seed in range(2):
+    for seed in range(1):
         wrapped = observing(kind, FlatGoalEnv(kind, **env), **shape)
         observation = arrive(wrapped, seed)
         off = apart(wrapped, observation)
@@ -76,13 +76,6 @@ def test_what_is_there_is_what_was_wanted_index_for_index(kind, env, shape, most
             axis=1,
         )
         np.testing.assert_array_equal(nearest, np.arange(len(nearest)))
-
-
-def test_in_metres_too_where_depth_is_that_of_the_point():
-    for kind in SHAPES:
-        observation = arrive(observing(kind, order="image", lift="cloud"), 1)
-        error = np.linalg.norm(points(observation["achieved_goal"]) - points(observation["desired_goal"]), axis=1)
-        assert error.mean() < 0.003  # less than a pixel, which is 4 mm there
 
 
 @pytest.mark.parametrize("ends", ["tips", "centers"])
@@ -111,30 +104,12 @@ def test_the_desired_outline_lies_on_the_material_from_the_gripper_on():
     assert gap.std() / gap.mean() < 0.01
 
 
-def test_equal_gaps_in_the_image_are_asked_of_a_goal_outline_too():
-    inner = FlatGoalEnv("contour", tilt=40)
-    observation, _ = observing("contour", inner).reset(seed=1)
-    pixels = inner.camera_model.project_from_base(points(observation["desired_goal"]))
-    gap = np.linalg.norm(np.roll(pixels, -1, axis=0) - pixels, axis=1)
-    assert gap.std() / gap.mean() < 0.01
-
-
 class TestTheTargetIsComputedOnce:
     @pytest.fixture
     def counted(self, monkeypatch) -> list[int]:
         calls, placed = [], goals.resample
         monkeypatch.setattr(goals, "resample", lambda *args: calls.append(1) or placed(*args))
         return calls
-
-    def test_while_nothing_changes(self, counted):
-        env = observing("contour")
-        first, _ = env.reset(seed=0)
-        target = env.target
-        for _ in range(5):
-            observation, *_ = env.step(ON)
-            np.testing.assert_array_equal(observation["desired_goal"], first["desired_goal"])
-        assert len(counted) == 1
-        assert env.target is target
 
     def test_again_when_the_env_changes_its_goal(self, counted):
         inner = FlatGoalEnv("surface")
@@ -160,34 +135,6 @@ class TestTheTargetIsComputedOnce:
             points(after["desired_goal"])[:, 2] - points(before["desired_goal"])[:, 2], 0.05, atol=1e-6
         )
         assert len(counted) == 2
-
-    def test_and_moves_with_the_anchor_where_it_is_seen_from_there(self):
-        env = ShapeObservation(
-            FlatGoalEnv("contour"), [SHAPES["contour"]], RED, [BASE, {"kind": "points3d", "frame": "anchor"}]
-        )
-        first, _ = env.reset(seed=4)
-        assert env.target is not None
-        relative = ShapeObservation(
-            FlatGoalEnv("contour"), [SHAPES["contour"]], RED, [{"kind": "points3d", "frame": "anchor"}]
-        )
-        observation, _ = relative.reset(seed=4)
-        for _ in range(3):
-            inner: Any = relative.unwrapped
-            np.testing.assert_allclose(
-                points(observation["desired_goal"]) + inner.anchors["gripper0"],
-                points(first["desired_goal"]),
-                atol=1e-6,
-            )
-            observation, *_ = relative.step(ON)
-
-    def test_what_is_returned_is_the_callers_own(self):
-        env = observing("surface")
-        first, _ = env.reset(seed=0)
-        before = first["desired_goal"].copy()
-        first["desired_goal"][:] = 0
-        first["achieved_goal"][:] = 0
-        second, *_ = env.step(0 * ON)
-        np.testing.assert_array_equal(second["desired_goal"], before)
 
 
 @pytest.mark.parametrize(

@@ -9,13 +9,10 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
-from strips_env import StripsEnv, observing_strips
+from strips_env import observing_strips
 
 from shape_obs import ShapeGoal, Target, record_goal, record_goals
-from shape_obs.servo import ShapeServo
-from shape_obs.training import PointReward
 
 GOALS = ("achieved_goal", "desired_goal")
 NAMES = ("strip0", "strip1")
@@ -101,27 +98,6 @@ def test_a_slot_that_is_lost_is_no_success():
     assert not infos[-1]["is_success"]
 
 
-def test_one_slot_may_have_its_part_of_the_envs_goals():
-    both, second = ShapeGoal(observing_strips()), ShapeGoal(observing_strips(), shape="strip1")
-    whole, part = both.reset(seed=1)[0], second.reset(seed=1)[0]
-    for key in GOALS:
-        np.testing.assert_array_equal(part[key], whole[key][36:])
-    turned = ShapeGoal(observing_strips(), shape=["strip1", "strip0"]).reset(seed=1)[0]
-    for key in GOALS:
-        np.testing.assert_array_equal(turned[key].reshape(2, 36), whole[key].reshape(2, 36)[::-1])
-
-
-def test_one_goal_among_several_slots_is_as_before():
-    """A single goal, which the env has without a count, gives bit for bit what slot 0 has in the goals of both."""
-    alone, both = ShapeGoal(observing_strips(counted=False)), ShapeGoal(observing_strips())
-    assert alone.names == ("strip0",)
-    one, two = alone.reset(seed=2), both.reset(seed=2)
-    for _ in range(3):
-        for key in GOALS:
-            np.testing.assert_array_equal(one[0][key], two[0][key][:36])
-        one, two = alone.step(ON), both.step(ON)
-
-
 def test_recorded_goals_are_the_slots_of_the_frame():
     source = observing_strips(goals=False)
     source.reset(seed=4)
@@ -139,16 +115,6 @@ def test_recorded_goals_are_the_slots_of_the_frame():
     assert env.record_goals() == record_goals(env, list(NAMES))
     with pytest.raises(ValueError, match=r"'strip' has the slots \['strip0', 'strip1'\]: name one, or call record_go"):
         record_goal(source, "strip")
-
-
-def test_a_reset_takes_goals_for_one_episode():
-    source = observing_strips()
-    env = ShapeGoal(source)
-    source.reset(seed=5)
-    other = truth(source)[::-1]
-    usual, given = env.reset(seed=1)[0], env.reset(seed=1, options={"goal": other})[0]
-    assert np.abs(given["desired_goal"] - usual["desired_goal"]).max() > 0.05
-    np.testing.assert_array_equal(env.reset(seed=1)[0]["desired_goal"], usual["desired_goal"])
 
 
 @pytest.mark.parametrize(
@@ -194,34 +160,6 @@ def test_the_envs_goals_need_as_many_slots():
         )
 
 
-def test_other_features_of_several_have_one_distance():
-    env = ShapeGoal(observing_strips(), features=["points2d", "points3d"], threshold=0.5)
-    space: Any = env.observation_space["achieved_goal"]  # type: ignore[index]
-    assert space.shape == (2 * 60,)
-    a, b = np.random.default_rng(0).uniform(-1, 1, (2, 7, 120))
-    by_hand = np.sqrt(np.mean(((a - b) / (space.high - space.low.astype(float))) ** 2, axis=1))
-    np.testing.assert_allclose(env.compute_reward(a, b, [{}] * 7), -by_hand)
-    assert ShapeGoal(observing_strips(), features=["points2d"], threshold=2.0).unit == "px"
-
-
-def test_rewards_are_computed_in_batches_for_hindsight_replay():
-    replay = pytest.importorskip("stable_baselines3.her.her_replay_buffer")
-    dummy = pytest.importorskip("stable_baselines3.common.vec_env").DummyVecEnv
-    limited = gym.wrappers.TimeLimit(ShapeGoal(observing_strips()), 5)
-    env = dummy([lambda: limited])
-    memory = replay.HerReplayBuffer(100, env.observation_space, env.action_space, env, n_sampled_goal=4)
-    observation = env.reset()
-    for _ in range(15):
-        following, reward, done, infos = env.step(ON[None])
-        last = infos[0].get("terminal_observation", {})
-        memory.add(observation, {**following, **{k: v[None] for k, v in last.items()}}, ON[None], reward, done, infos)
-        observation = following
-    batch = memory.sample(64)
-    next_ones = batch.next_observations["achieved_goal"].numpy()
-    expected = -mean_distance(next_ones, batch.observations["desired_goal"].numpy())
-    np.testing.assert_allclose(batch.rewards.numpy()[:, 0], expected, atol=1e-6)
-
-
 @pytest.mark.parametrize("goals", [True, False])
 def test_gymnasiums_and_sb3s_checkers_are_content(goals):
     source = observing_strips(goals=goals)
@@ -232,43 +170,3 @@ def test_gymnasiums_and_sb3s_checkers_are_content(goals):
         env = ShapeGoal(source, None if goals else truth(source), shape="strip")
         check_env(env, skip_render_check=True)
         pytest.importorskip("stable_baselines3.common.env_checker").check_env(env, warn=True)
-
-
-def test_it_is_rebuilt_from_json():
-    gym.register("TestStrips-v0", "strips_env:StripsEnv", kwargs={"goals": False})
-    try:
-        source = observing_strips(goals=False)
-        made = type(source)(gym.make("TestStrips-v0"), **source.detector.config.to_dict())
-        source.reset(seed=0)
-        env = ShapeGoal(made, dict(zip(NAMES, truth(source), strict=True)))
-        assert env.spec is not None
-        again = gym.make(EnvSpec.from_json(env.spec.to_json()))
-        assert isinstance(again, ShapeGoal)
-        assert again.names == NAMES
-        mine, its = env.reset(seed=4)[0], again.reset(seed=4)[0]
-        for key in mine:
-            np.testing.assert_array_equal(mine[key], its[key])
-    finally:
-        del gym.registry["TestStrips-v0"]
-
-
-def test_a_servo_brings_both_to_their_goals():
-    env = ShapeGoal(observing_strips(), threshold=0.003)
-    servo = ShapeServo("rls")
-    servo.attach(env)
-    observation, info = env.reset(seed=0)
-    for _ in range(40):
-        observation, _, _, _, info = env.step(servo.act(observation))
-    assert info["is_success"]
-    inner: Any = env.unwrapped
-    assert isinstance(inner, StripsEnv)
-    inner.hidden = {1}
-    for _ in range(20):
-        observation = env.step(servo.act(observation))[0]
-    assert servo.held > 0
-
-
-def test_a_reward_of_points_is_of_one_shape():
-    env = ShapeGoal(observing_strips(), features=["points2d", "points3d"], threshold=0.5)
-    with pytest.raises(ValueError, match=r"goal of one shape, got \['strip0', 'strip1'\]; pass ShapeGoal a shape="):
-        PointReward(env)

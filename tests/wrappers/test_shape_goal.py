@@ -43,18 +43,6 @@ def test_a_goal_is_approached_and_reached(kind, goals):
     assert (reached[0], reached[-1]) == (False, True)
 
 
-def test_both_goals_are_the_observations_own_features():
-    env = ShapeGoal(observing(features=["ok", "points2d", BASE, "valid"]), threshold=0.05)
-    start, _ = observing().reset(seed=0)
-    observation, info = env.reset(seed=0, options={"goal": start.reshape(-1, 3)})
-    assert env.unit == "of the range"
-    assert observation["observation"].shape == (1 + 48 + 72 + 24,)
-    np.testing.assert_array_equal(observation["achieved_goal"], observation["observation"][1:121])
-    assert env.observation_space["desired_goal"].shape == (120,)  # type: ignore[index]
-    assert info["goal/distance"] < 0.005  # given as points, an outline is resampled
-    np.testing.assert_allclose(observation["desired_goal"], observation["achieved_goal"], atol=0.5)
-
-
 @pytest.mark.parametrize(
     ("features", "size", "unit"),
     [
@@ -99,13 +87,6 @@ class TestReward:
         np.testing.assert_array_equal(env.compute_reward(a, np.zeros_like(a), None), [0, -1])
         env.reset(seed=0)
         assert env.step(ON)[1] == -1.0
-
-    def test_it_takes_no_goals_of_another_size(self):
-        env = ShapeGoal(observing(goals=True))
-        with pytest.raises(ValueError, match=r"two goals of equal shape \(..., 72\), got \(3, 60\) and \(3, 60\)"):
-            env.compute_reward(np.zeros((3, 60)), np.zeros((3, 60)), None)
-        with pytest.raises(ValueError, match=r"got \(72,\) and \(1, 72\)"):
-            env.compute_reward(np.zeros(72), np.zeros((1, 72)), None)
 
     def test_the_envs_own_reward_and_success_stay_apart(self):
         env = ShapeGoal(observing(goals=True), threshold=1e-6)
@@ -187,38 +168,6 @@ class TestGoals:
         assert info["is_success"]
         again = env.record_goal()
         np.testing.assert_allclose(again.points, observation["achieved_goal"].reshape(-1, 3), atol=1e-6)
-
-    def test_the_envs_own_is_the_one_of_each_episode(self):
-        env, source = ShapeGoal(observing(goals=True)), observing(goals=True)
-        for seed in range(3):
-            observation, _ = env.reset(seed=seed)
-            expected, _ = source.reset(seed=seed)
-            for key in GOALS:
-                np.testing.assert_array_equal(observation[key], expected[key])
-        assert env.target is env.env.target  # type: ignore[attr-defined]
-
-    def test_one_of_ones_own_goes_before_the_envs(self):
-        env = ShapeGoal(observing(goals=True), target_of(observing(), 5))
-        observation, info = env.reset(seed=0)
-        own, _ = ShapeGoal(observing(goals=True)).reset(seed=0)
-        assert np.abs(observation["desired_goal"] - own["desired_goal"]).max() > 0.01
-        assert "truth/is_success" in info
-
-    def test_it_may_be_that_of_another_shape(self):
-        inner = FlatGoalEnv("surface", tilt=0, goals=True)
-        shapes = [SHAPES["surface"], {**SHAPES["contour"], "name": "outline"}]
-        source = ShapeObservation(inner, shapes, RED, [BASE])
-        source.reset(seed=0)
-        env = ShapeGoal(source, record_goal(source, "outline"), shape="outline")
-        observation, info = env.reset(seed=0)
-        assert observation["observation"].shape == (144,)
-        assert info["goal/distance"] < 1e-5
-        with pytest.raises(
-            ValueError, match=r"the env's goals are those of shape 'surface': pass a goal= for shape 'out"
-        ):
-            ShapeGoal(source, shape="outline")
-        with pytest.raises(ValueError, match=r"no shape named 'outlin'; did you mean 'outline'\?"):
-            ShapeGoal(source, shape="outlin")
 
     def test_there_must_be_one(self):
         env = ShapeGoal(observing())

@@ -131,16 +131,3 @@ def test_what_is_returned_is_the_callers_own():
         observation, expected = env.step(ON)[0], twin.step(ON)[0]
         for key in observation:
             np.testing.assert_array_equal(observation[key], expected[key])
-
-
-def test_vector_envs_take_it():
-    goal = target_of(observing())
-    many = gym.vector.SyncVectorEnv([lambda: gym.wrappers.TimeLimit(ShapeGoal(observing(), goal), 3)] * 2)
-    observation, info = many.reset(seed=[0, 1])
-    assert observation["desired_goal"].shape == (2, 72)
-    np.testing.assert_array_equal(observation["desired_goal"][0], observation["desired_goal"][1])
-    for _ in range(4):
-        observation, rewards, _, _, info = many.step(np.ones((2, 1), np.float32))
-        assert np.all(rewards <= 0)
-    assert info["is_success"].shape == (2,)
-    many.close()

@@ -48,18 +48,6 @@ class TestLayout:
             assert env.observation_space.contains(observation)
             assert observation["deep"]["row"][0] == pytest.approx(env.unwrapped.row)  # type: ignore[attr-defined]
 
-    def test_kept_values_are_copies(self):
-        inner = RopeEnv()
-        frozen = inner._observe()
-        inner._observe = lambda: frozen  # type: ignore[method-assign]
-        env = wrapped(inner, keep=["hand", "deep"])
-        first, _ = env.reset(seed=0)
-        first["hand"][:] = 4
-        first["deep"]["row"][:] = 4
-        second, *_ = env.step(np.zeros(1, np.float32))
-        assert not np.array_equal(first["hand"], second["hand"])
-        assert second["deep"]["row"][0] != 4
-
     def test_other_keys(self):
         class Renamed(gym.ObservationWrapper[Any, Any, Any]):
             def __init__(self, env: gym.Env[Any, Any]) -> None:
@@ -171,11 +159,6 @@ class TestCamera:
             np.testing.assert_allclose(observation.reshape(-1, 3)[:, 2], height - 0.5, atol=1e-3)
             heights.add(height)
         assert len(heights) == 4
-
-    def test_a_given_one_wins(self):
-        env = wrapped(camera=CameraModel(INTRINSICS, np.eye(4)), features=[Points3D(frame="base")])
-        observation, _ = env.reset(seed=0)
-        np.testing.assert_allclose(observation.reshape(-1, 3)[:, 2], 0.5, atol=1e-3)
 
     def test_bare_intrinsics_do_for_the_camera_frame(self):
         env = wrapped(camera=INTRINSICS.to_dict(), anchor=[200, 60])

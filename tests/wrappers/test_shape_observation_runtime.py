@@ -158,7 +158,7 @@ class TestState:
             checker.check_env(wrapped(**arguments), warn=True)
 
 
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(
     seed=st.integers(0, 2**16),
     noise=st.sampled_from(["colour", "blue", "depth", "blocks"]),

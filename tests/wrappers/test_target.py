@@ -9,9 +9,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import yaml
-from goal_envs import LAYOUTS, RED, FlatGoalEnv
+from goal_envs import RED, FlatGoalEnv
 
-from shape_obs import Centerline, ShapeGoal, ShapeObservation, SpecError, Surface, Target, record_goal
+from shape_obs import Centerline, ShapeGoal, ShapeObservation, SpecError, Target, record_goal
 from shape_obs.features import FeatureContext
 
 LINE = np.array([[-0.1, 0.0, 0.0], [0.0, 0.02, 0.0], [0.05, 0.03, 0.0], [0.1, 0.03, 0.0]])
@@ -72,31 +72,6 @@ def test_bare_points_are_metres_in_the_base_frame_and_are_resampled():
     gap = np.linalg.norm(np.diff(points, axis=0), axis=1)
     assert gap.std() / gap.mean() < 0.01
     np.testing.assert_allclose(shape.pixels, camera.intrinsics.project(np.asarray(shape.points3d)), atol=1e-4)
-
-
-def test_frames_say_the_same():
-    env = observing(KINDS[0])
-    camera, spec = FlatGoalEnv().camera_model, Centerline(n=9)
-    there = [
-        Target.read(points).shape_for(spec, view_of(env)).pixels
-        for points in (
-            {"points": LINE},
-            {"points": camera.from_base(LINE), "frame": "camera"},
-            {"points": camera.project_from_base(LINE), "frame": "pixels"},
-        )
-    ]
-    np.testing.assert_allclose(there[1], there[0], atol=1e-4)
-    np.testing.assert_allclose(there[2], there[0], atol=0.3)  # a smooth curve through pixels is another one
-
-
-def test_a_lattice_may_have_other_rows_and_columns():
-    inner = FlatGoalEnv("surface")
-    inner.reset(seed=0)
-    target = Target(inner.points(inner.end).tolist(), layout=LAYOUTS["surface"])
-    spec = Surface(rows=3, cols=3, ends="tips", spacing="m")
-    shape = target.shape_for(spec, view_of(observing(KINDS[2])))
-    corners = inner.camera_model.to_base(np.asarray(shape.points3d, float))[[0, 2, 6, 8]]
-    np.testing.assert_allclose(corners, inner.material(inner.end, [0, 1, 0, 1], [0, 0, 1, 1]), atol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from shape_obs.shape import Detection, Shape
 from shape_obs.tracking.missing import ShapeLostError
 from shape_obs.wrappers import ShapeObservation
 from tests.benchmarks.tables import at_most
+from tests.detection_contract import broken_shape
 
 #: What is counted, each asked to be zero.
 PROMISES: Final = ("undeclared exceptions", "warnings", "broken contracts of a Shape", "bad observations")
@@ -116,42 +117,6 @@ def declared(error: Exception) -> bool:
     return file.startswith(_PACKAGE) and linecache.getline(file, line).strip().startswith("raise ")
 
 
-def broken_contracts(shape: Shape, size: int, *, in_2d: bool, in_3d: bool) -> list[str]:
-    """Return what a shape breaks of the contract in the docstring of ``Shape``."""
-    kinds = (("points2d", np.float32, (size, 2)), ("points3d", np.float32, (size, 3)), ("visible", bool, (size,)))
-    broken = []
-    for name, dtype, form in (*kinds, ("valid", bool, (size,)), ("sigma", np.float32, (size,))):
-        array = getattr(shape, name)
-        if array is None:
-            continue
-        if array.dtype != dtype or array.shape != form:
-            broken.append(f"{name} is {array.dtype} {array.shape}")
-            return broken
-        if array.flags.writeable:
-            broken.append(f"{name} is writable")
-    points2d, points3d = shape.points2d, shape.points3d
-    promises = {
-        "points2d where there are pixels only": (points2d is not None) == in_2d,
-        "points3d with depth and a camera only": bool(shape.reason) or (points3d is not None) == in_3d,
-        "valid where visible only": not (shape.valid & ~shape.visible).any(),
-        "points3d finite where valid": points3d is None or bool(np.isfinite(points3d[shape.valid]).all()),
-        "points3d never infinite": points3d is None or not np.isinf(points3d).any(),
-        "points2d finite if ok": points2d is None or not shape.ok or bool(np.isfinite(points2d).all()),
-        "points2d finite, or all of it NaN": points2d is None
-        or bool(np.isfinite(points2d).all() or np.isnan(points2d).all()),
-        "quality in 0...1": 0 <= shape.quality <= 1,
-        "age finite, at least 0": 0 <= shape.age < np.inf,
-        "ok and no reason, or a reason": shape.ok or bool(shape.reason),
-        "nothing visible with a reason": not shape.reason or not shape.visible.any(),
-        "age 0 without a reason": bool(shape.reason) or shape.age == 0,
-        "sigma finite, at least 0": bool(np.isfinite(shape.sigma).all() and (shape.sigma >= 0).all()),
-        "sigma at most 1 m": points3d is None or bool((shape.sigma <= 1).all()),
-        "a track if found": bool(shape.reason) or shape.track_id > 0,
-        "new only if found": not (shape.new and shape.reason),
-    }
-    return broken + [promise for promise, kept in promises.items() if not kept]
-
-
 def _run_detector(rng: np.random.Generator, log: _Log) -> int:
     names = [f"shape{i}" for i in range(pick(rng, (1, 1, 1, 2)))]
     specs = [random_inputs.configuration(rng, name) for name in names]
@@ -173,7 +138,7 @@ def _run_detector(rng: np.random.Generator, log: _Log) -> int:
             detection, in_3d = _detect(rng, detector, scene, at, call)
             for shape, spec in zip(detection, detector.shapes, strict=True):
                 in_2d = in_3d is not None
-                for text in broken_contracts(shape, spec.layout.size, in_2d=in_2d, in_3d=in_3d is not False):
+                for text in broken_shape(shape, spec.layout.size, in_2d=in_2d, in_3d=in_3d is not False):
                     log.add(_CONTRACT, f"{text}: {shape.name}, {spec.kind}")
                 returned.append((shape, pickle.dumps(shape)))
     if any(pickle.dumps(shape) != before for shape, before in returned):

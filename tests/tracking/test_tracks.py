@@ -1,0 +1,305 @@
+"""The state of a track and its prediction, the numbers of tracks, and what is searched in which window."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from shape_obs import Centerline, Contour, HSVRange, ShapeDetector, ShapeLostError, Surface
+from shape_obs import detector as detector_module
+from shape_obs.bench.photos import photographed
+from shape_obs.bench.scenes import moving_rope, moving_sheet
+from shape_obs.configurations import centerline
+from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.topology import Chain
+from shape_obs.image.roi import Window
+from shape_obs.tracking import search_window
+from shape_obs.tracking.prediction import Fit, Prediction, Track, advance, predict
+
+NODES = np.stack([np.linspace(10, 90, 9), np.full(9, 50.0)], axis=1)
+
+
+def curve(length: float = 100.0, hidden: bool = False) -> FittedCurve:
+    points = np.stack([np.linspace(0, length, 101), np.full(101, 50.0)], axis=1)
+    return FittedCurve.through(points, np.arange(101) < (30 if hidden else 0))
+
+
+def observation(box: Window | None = None, area: int = 800, resolution: float = 1.0) -> Any:
+    """Return the part of an ``Observed`` that tracks read."""
+    return SimpleNamespace(box=box, area=area, resolution=resolution)
+
+
+def found(form: FittedCurve, nodes: np.ndarray = NODES, width: float = 8.0) -> Fit:
+    return Fit(form, 1.0, nodes=nodes, topology=Chain(9), size=form.size, width=width)
+
+
+def first(stamp: float = 0.0, **change) -> Track:
+    return advance(None, found(curve()), observation(Window(0, 46, 100, 8)), stamp)._replace(**change)
+
+
+def after(track: Track, shift: float, stamp: float, width: float = 8.0, box: Window | None = None, **form) -> Track:
+    return advance(track, found(curve(**form), NODES + (0, shift), width), observation(box), stamp)
+
+
+def predicted(track: Track, stamp: float, **seen: Any) -> Prediction:
+    prediction = predict(track, observation(**seen), stamp)
+    assert prediction is not None
+    return prediction
+
+
+class TestPrediction:
+    def test_most_of_the_last_step_is_made_again(self):
+        """With frames 0.1 s apart and 10 px per frame, 8 px are predicted for the next."""
+        track = after(first(), 10.0, 0.1)
+        np.testing.assert_allclose(predicted(track, 0.2).nodes, NODES + (0, 18))
+        np.testing.assert_allclose(predicted(track, 0.15).nodes, NODES + (0, 14))
+
+    def test_nothing_is_extrapolated_beyond_the_last_interval(self):
+        track = after(first(), 10.0, 0.1)
+        np.testing.assert_allclose(predicted(track, 60.0).nodes, NODES + (0, 18))
+
+    def test_a_stamp_that_stands_still_gives_no_velocity(self):
+        track = after(first(1.0), 10.0, 1.0)
+        np.testing.assert_array_equal(track.velocity, np.zeros((9, 2)))
+        assert after(first(1.0), 10.0, 0.5).interval == 0
+        assert not after(first(0.0), 10.0, 1e-300).velocity.any()
+
+
+class TestWidth:
+    @pytest.mark.parametrize(
+        ("seen", "kept"), [(8.2, 8.0), (7.8, 8.0), (9.0, 8.16), (4.0, 7.84), (8.26, 8.16), (80.0, 8.16)]
+    )
+    def test_noise_is_not_followed_and_a_change_is_followed_slowly(self, seen, kept):
+        assert after(first(), 0.0, 0.1, width=seen).width == pytest.approx(kept)
+
+
+@pytest.mark.parametrize(("grown", "starts"), [(4, 0), (40, 1)])
+def test_a_rope_that_jumps_in_length_is_found_from_a_fresh_start(monkeypatch, grown, starts):
+    """The rope has 280 px: 1 % more is tracked, 14 % more is not."""
+    fresh = []
+    medial_axis = centerline.medial_axis
+    monkeypatch.setattr(centerline, "medial_axis", lambda observed: fresh.append(observed) or medial_axis(observed))
+    detector, mask = ShapeDetector(Centerline(n=9)), np.zeros((120, 400), np.uint8)
+    mask[56:64, 20:300] = 1
+    for _ in range(3):
+        assert detector.detect_mask(mask).ok
+    fresh.clear()
+    mask[56:64, 300 : 300 + grown] = 1
+    assert detector.detect_mask(mask).shapes[0].reason == ""
+    assert len(fresh) == starts
+
+
+class TestTrackIds:
+    """The number that changes when continuity was lost."""
+
+    @staticmethod
+    def follow(detector: ShapeDetector, *frames: tuple[np.ndarray, float]) -> list[tuple[int, bool]]:
+        shapes = [detector.detect_mask(mask, stamp=stamp).shapes[0] for mask, stamp in frames]
+        return [(shape.track_id, shape.new) for shape in shapes]
+
+    @pytest.mark.parametrize("policy", ["hold", "truncate", "nan"])
+    def test_a_short_loss_keeps_it_and_a_long_one_does_not(self, wave, policy):
+        detector, empty = ShapeDetector(max_age=0.5, on_missing=policy), np.zeros_like(wave.mask)
+        frames = [(empty, 0.0), (wave.mask, 0.1), (wave.mask, 0.2), (empty, 0.3), (wave.mask, 0.6), (empty, 1.2),
+                  (empty, 1.3), (wave.mask, 1.4), (wave.mask, 1.5)]  # fmt: skip
+        found = [
+            (0, False),
+            (1, True),
+            (1, False),
+            (1, False),
+            (1, False),
+            (1, False),
+            (1, False),
+            (2, True),
+            (2, False),
+        ]
+        assert self.follow(detector, *frames) == found
+        detector.reset()
+        assert self.follow(detector, *frames) == found
+
+    def test_a_loss_that_raised_ends_the_track_too(self, wave):
+        detector, empty = ShapeDetector(max_age=0.5, on_missing="raise"), np.zeros_like(wave.mask)
+        assert self.follow(detector, (wave.mask, 0.0)) == [(1, True)]
+        for stamp in (0.3, 0.8):
+            with pytest.raises(ShapeLostError):
+                detector.detect_mask(empty, stamp=stamp)
+        assert self.follow(detector, (wave.mask, 0.9)) == [(2, True)]
+
+    def test_pixels_and_a_cloud_are_two_tracks(self, wave):
+        detector = ShapeDetector()
+        at = np.linspace(0, 0.4, 3000)
+        cloud = np.stack([at, 0.002 * np.sin(900 * at), 0.5 + 0.002 * np.cos(900 * at)], axis=1)
+        assert detector.detect_mask(wave.mask).shapes[0].track_id == 1
+        shape = detector.detect_cloud(cloud).shapes[0]
+        assert (shape.ok, shape.track_id, shape.new) == (True, 2, True)
+        assert shape.length == pytest.approx(0.4, rel=0.03)
+
+    def test_a_fit_that_says_so_begins_anew(self, wave):
+        """A configuration reports that what it found is another object: its numbering continues nothing."""
+
+        class Swapped(Centerline, kind="swapped_for_a_test"):
+            def fit(self, observed, prediction, target, scene):
+                return super().fit(observed, prediction, target, scene)._replace(new=observed.area < 2000)
+
+        detector, half = ShapeDetector(Swapped(n=5)), wave.mask.copy()
+        half[:, 150:] = 0
+        assert np.count_nonzero(half) < 2000 < np.count_nonzero(wave.mask)
+        found = [detector.detect_mask(mask).shapes[0] for mask in (wave.mask, wave.mask, half, wave.mask)]
+        assert [(shape.track_id, shape.new) for shape in found] == [(1, True), (1, False), (2, True), (2, False)]
+
+
+BLUE = HSVRange(low=(100, 80, 25), high=(130, 255, 255), open=3, close=3)
+FRAMES = 25
+
+
+@pytest.fixture
+def everywhere(monkeypatch):
+    """Return a function that makes the detector search every frame as a whole."""
+    return lambda: monkeypatch.setattr(detector_module, "_SEARCH_ALL", 1)
+
+
+def shifted(mask: np.ndarray, u: int, v: int) -> np.ndarray:
+    moved = cv2.warpAffine(mask, np.array([[1.0, 0, u], [0, 1.0, v]]), (mask.shape[1], mask.shape[0]))
+    return np.asarray(moved, dtype=np.uint8)
+
+
+def rope(start: tuple[int, int] = (80, 100), length: int = 220) -> np.ndarray:
+    mask = np.zeros((480, 640), np.uint8)
+    cv2.line(mask, start, (start[0] + length, start[1] + 40), (255.0,), 12)
+    return mask
+
+
+@pytest.mark.parametrize("speed", [4, 30])
+def test_ropes_are_found_as_in_the_whole_image(everywhere, speed):
+    masks = [frame.mask for frame in moving_rope(np.random.default_rng(1), speed, FRAMES)]
+    detector = ShapeDetector()
+    found = [detector.detect_mask(mask) for mask in masks]
+    everywhere()
+    detector.reset()
+    for mask, detection in zip(masks, found, strict=True):
+        again = detector.detect_mask(mask)
+        assert again.ok
+        assert detection.ok
+        np.testing.assert_allclose(detection.shapes[0].points2d, again.shapes[0].points2d, atol=1e-3)
+
+
+def test_images_give_the_same_points_as_their_whole(everywhere):
+    rng = np.random.default_rng(2)
+    frames = [photographed(rng, sheet.mask, 1.5, 4.0) for sheet in moving_sheet(rng, 8, 6)]
+    detector = ShapeDetector([Contour(), Surface()], BLUE)
+    found = [detector.detect(frame) for frame in frames]
+    everywhere()
+    detector.reset()
+    for frame, detection in zip(frames, found, strict=True):
+        for shape, again in zip(detection, detector.detect(frame), strict=True):
+            assert shape.ok
+            np.testing.assert_allclose(shape.points2d, again.points2d, atol=0.3)
+
+
+def test_a_rope_that_jumps_is_found_in_the_same_frame():
+    detector, mask = ShapeDetector(max_speed=None), rope()
+    before = [detector.detect_mask(mask).shapes[0].points2d for _ in range(3)][-1]
+    after = detector.detect_mask(shifted(mask, 210, 190)).shapes[0]
+    assert after.ok
+    np.testing.assert_allclose(after.points2d, before + (210, 190), atol=0.5)
+
+
+def test_a_rope_that_jumps_away_from_a_speck_is_found_in_the_same_frame():
+    """The window is not empty: a speck of the rope's colour is left there."""
+    detector, mask = ShapeDetector(max_speed=None), rope()
+    before = [detector.detect_mask(mask).shapes[0].points2d for _ in range(3)][-1]
+    moved = shifted(mask, 210, 190)
+    u, v = before[10].round().astype(int).tolist()
+    cv2.circle(moved, (u, v), 6, (255.0,), -1)
+    after = detector.detect_mask(moved).shapes[0]
+    assert after.reason == ""
+    np.testing.assert_allclose(after.points2d, before + (210, 190), atol=0.5)
+
+
+def test_a_hidden_end_that_comes_back_is_seen_at_once():
+    """A hand comes over it step by step, so that the box of what is seen becomes small, and leaves at once."""
+    detector, mask = ShapeDetector(Centerline(n=20, ends="tips")), rope()
+    for hand in [700] * 5 + list(range(300, 215, -5)):
+        covered = mask.copy()
+        covered[:, hand:] = 0
+        assert detector.detect_mask(covered).ok
+    after = detector.detect_mask(mask).shapes[0]
+    assert after.visible.all()
+    np.testing.assert_allclose(after.points2d[[0, -1]], [(80, 100), (300, 140)], atol=6)
+
+
+def test_what_turns_up_elsewhere_does_not_disturb():
+    detector, mask = ShapeDetector(), rope()
+    before = [detector.detect_mask(mask).shapes[0].points2d for _ in range(3)][-1]
+    other = mask.copy()
+    cv2.circle(other, (500, 400), 20, (255.0,), -1)  # half as large as the rope
+    after = detector.detect_mask(other).shapes[0]
+    assert after.ok
+    assert after.visible.all()
+    np.testing.assert_allclose(after.points2d, before, atol=0.1)
+
+
+@pytest.fixture
+def looked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+    """Return the list of all searches for a region, which grows with each one."""
+    looks: list[tuple[Any, ...]] = []
+    original = search_window.find_region
+
+    def look(*given: Any) -> Any:
+        looks.append(given)
+        return original(*given)
+
+    monkeypatch.setattr(search_window, "find_region", look)
+    return looks
+
+
+def test_what_was_hidden_at_first_is_seen_before_long():
+    """The hidden half of a rope is not tracked, and lies outside the search window."""
+    whole = np.zeros((480, 640), np.uint8)
+    cv2.line(whole, (40, 240), (600, 240), (255.0,), 12)
+    half = whole.copy()
+    half[:, 300:] = 0
+    back = whole.copy()
+    back[:, 300:340] = 0
+    detector = ShapeDetector(Centerline(ends="tips"))
+    for _ in range(3):
+        assert detector.detect_mask(half).shapes[0].points2d[-1, 0] < 302
+    ends = [detector.detect_mask(back).shapes[0].points2d[-1, 0] for _ in range(30)]
+    assert max(ends) > 590
+    assert detector.detect_mask(back).shapes[0].points2d[-1, 0] > 590
+
+
+def test_an_image_edge_is_no_reason_to_look_again(looked):
+    """A rope at the image's edge stays tracked in its window, since nothing lies beyond the edge."""
+    mask = np.zeros((480, 640), np.uint8)
+    mask[200:212, :200] = 255
+    detector = ShapeDetector()
+    for _ in range(4):
+        assert detector.detect_mask(mask).ok
+    assert len(looked) == 4
+
+
+def test_a_rope_that_begins_to_move_is_found_in_its_window(looked):
+    """It rests for three frames and moves by 5 px in the next: no frame is searched twice."""
+    detector, mask = ShapeDetector(), rope()
+    for moved in (mask, mask, mask, shifted(mask, 5, 0)):
+        assert detector.detect_mask(moved).ok
+    assert len(looked) == 4
+
+
+def test_two_ropes_are_found_in_the_window_around_both(looked):
+    detector, mask = ShapeDetector(Centerline(count=2)), rope((400, 60), 180) | rope((40, 380), 180)
+    for _ in range(4):
+        assert detector.detect_mask(mask).ok
+    assert len(looked) == 4
+
+
+def test_an_empty_frame_and_back():
+    detector, mask = ShapeDetector(), rope()
+    before = detector.detect_mask(mask).shapes[0].points2d
+    assert detector.detect_mask(np.zeros_like(mask)).shapes[0].reason
+    np.testing.assert_allclose(detector.detect_mask(mask).shapes[0].points2d, before, atol=0.6)
