@@ -91,6 +91,7 @@ def test_nearest_places_by_brute_force(seed):
     fine = resample(curve, 20001)
     away = np.linalg.norm(points[:, None] - fine, axis=2)
     np.testing.assert_allclose(distance, away.min(axis=1), atol=1e-2)
+    assert np.isnan(nearest_on(curve, np.full((1, 2), np.nan))[1]).all()
     on = interpolate(curve, arc_length(curve), arc)
     np.testing.assert_allclose(np.linalg.norm(on - points, axis=1), distance, atol=1e-9)
 

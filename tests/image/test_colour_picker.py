@@ -14,6 +14,7 @@ from shape_obs.config.config_file import detector_arguments, load_config, save_c
 from shape_obs.image.colour_picker import propose_segmentation
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.utils.arrays import read_image
+from tests.benchmarks.clicks import first_click
 from tests.benchmarks.scenes.object_photos import object_photo
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "real" / "blue_rope_640x480.png"
@@ -25,15 +26,12 @@ def overlap(found: np.ndarray, truth: np.ndarray) -> float:
 
 @pytest.fixture(scope="module")
 def rope():
-    return object_photo(np.random.default_rng(3), "rope", "cloth")
+    return object_photo(np.random.default_rng(2), "rope", "cloth")
 
 
 @pytest.fixture(scope="module")
 def pick(rope):
-    """Return the pixel that lies deepest inside the rope, (u, v)."""
-    deep = cv2.distanceTransform(rope.mask.astype(np.uint8), cv2.DIST_L2, 3)
-    v, u = np.unravel_index(np.argmax(deep), deep.shape)
-    return int(u), int(v)
+    return first_click(np.random.default_rng(0), rope.mask)
 
 
 @pytest.fixture(scope="module")
