@@ -315,7 +315,7 @@ def episodes(scene: tuple[Setting, range]) -> Iterator[Row]:
                 empty = dict.fromkeys(("steps", "seen_mm", "final_mm", "start_mm"))
                 row = Row(empty, seed=seed, success=False, dark_action=0.0, held=0, broken=True)
             # A step counts only where the goal was reached.
-            yield Row(row, **setting._asdict()) | {"steps": row.steps if row.success else None}
+            yield Row({**row, **setting._asdict(), "steps": row.steps if row.success else None})
     finally:
         world.env.close()
 
