@@ -21,7 +21,7 @@ import shape_obs_envs  # noqa: F401
 from shape_obs_envs.mujoco import cameras
 from shape_obs_envs.mujoco.cable import CableEnv
 
-SIZES = {"square": [84, 84], "rl": "rl", "d455": "d455"}
+SIZES = {"square": [84, 84], "d455": "d455"}
 NO_GL = """
 import ctypes, os
 for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):

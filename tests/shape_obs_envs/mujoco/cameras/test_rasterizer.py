@@ -18,7 +18,7 @@ import shape_obs_envs  # noqa: F401
 from shape_obs_envs.mujoco.cameras.rasterizer import draw_triangles
 from shape_obs_envs.mujoco.cloth import ClothEnv
 
-SIZES = {"square": [84, 84], "rl": "rl", "d455": "d455"}
+SIZES = {"square": [84, 84], "d455": "d455"}
 Move = tuple[list[float], int]
 SHAPES: dict[str, list[Move]] = {
     "flat": [],
