@@ -20,7 +20,7 @@ from shape_obs.robot import ActionSpec
 from shape_obs.spec import Spec
 from shape_obs.wrappers import ShapeObservation
 from shape_obs.wrappers.env_protocol import camera_model, published, seconds_per_step
-from shape_obs.wrappers.observation_layout import to_recorded
+from shape_obs.wrappers.recorded_arguments import to_recorded
 
 if TYPE_CHECKING:
     import gymnasium as gym
