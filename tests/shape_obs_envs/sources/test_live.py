@@ -110,6 +110,10 @@ def read_all(source: Any, timeout: float) -> None:
         source.read(timeout)
 
 
+def is_live(source: Any) -> bool:
+    return isinstance(source, RGBDSource) and source.live
+
+
 class TestEveryLiveSource:
     def test_frames_are_numbered_stamped_and_of_the_reader_and_it_connects_again(self, rig):
         source = rig().source
@@ -120,8 +124,7 @@ class TestEveryLiveSource:
                     read()
             with source:
                 source.connect()
-                assert isinstance(source, RGBDSource)
-                assert source.live
+                assert is_live(source)
                 frames: list[Any] = [source.read(5.0) for _ in range(3)]
                 assert np.diff([frame.number for frame in frames]).tolist() == [1, 1]
                 for frame in frames:
