@@ -312,8 +312,8 @@ def episodes(scene: tuple[Setting, range]) -> Iterator[Row]:
             try:
                 row = play(world, setting.law, seed)
             except (ValueError, RuntimeError, ArithmeticError):
-                empty = dict.fromkeys(("steps", "seen_mm", "final_mm", "start_mm"))
-                row = Row(empty, seed=seed, success=False, dark_action=0.0, held=0, broken=True)
+                row = Row(seed=seed, success=False, dark_action=0.0, held=0, broken=True)
+                row.update(dict.fromkeys(("steps", "seen_mm", "final_mm", "start_mm")))
             # A step counts only where the goal was reached.
             yield Row({**row, **setting._asdict(), "steps": row.steps if row.success else None})
     finally:

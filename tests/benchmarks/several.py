@@ -99,12 +99,12 @@ def levels(scene: tuple[RopeScene, np.random.Generator]) -> Iterator[Row]:
     high, wide = drawn.mask.shape
     camera = Intrinsics(wide, high, _FOCAL, _FOCAL, (wide - 1) / 2, (high - 1) / 2)
     for given, rgb, metric in (
-        ("picture", True, ()),
+        ("picture", True, (None, None)),
         ("depth", False, (depth, camera)),
         ("both", True, (depth, camera)),
     ):
         spec = Centerline(n=_N, count="all", ends="tips")
-        answers = _answers(detect_scene(drawn, spec, *metric, picture=rgb), drawn)
+        answers = _answers(detect_scene(drawn, spec, metric[0], metric[1], picture=rgb), drawn)
         counts = {name: answers.count(value) for value, name in _ANSWERS.items()}
         known = counts["right"] + counts["unknown"]
         yield Row(counts, given=given, drawn=len(drawn.crossings), found=len(answers), no_error=known)
@@ -113,7 +113,7 @@ def levels(scene: tuple[RopeScene, np.random.Generator]) -> Iterator[Row]:
 def detect_scene(
     scene: RopeScene,
     spec: Centerline,
-    depth: Array | None = None,
+    depth: npt.NDArray[Any] | None = None,
     camera: Intrinsics | None = None,
     *,
     picture: bool = True,

@@ -55,7 +55,7 @@ def flat_objects(effort: Effort) -> Iterator[tuple[str, bool, Callable[[], Itera
                 yield f"{name}, {what}{small}", depth, _flat(name, scenes, view, depth, seed)
 
 
-def _flat(name: str, scenes: Iterable[FlatScene], view: View, depth: bool, seed: int) -> Callable[[], Iterator[Row]]:
+def _flat(name: str, scenes: Iterator[FlatScene], view: View, depth: bool, seed: int) -> Callable[[], Iterator[Row]]:
     follow = seen_points if name == "cloth" else seen_outline
 
     def found() -> Iterator[Row]:

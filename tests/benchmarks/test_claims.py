@@ -13,7 +13,7 @@ from tests.benchmarks import runner
 from tests.benchmarks.__main__ import main
 from tests.benchmarks.claim import Claim, Effort, Limit
 from tests.benchmarks.runner import all_claims, misses, run
-from tests.benchmarks.scenes.moving_ropes import moving_ropes
+from tests.benchmarks.scenes.moving_ropes import Motion, moving_ropes
 from tests.benchmarks.tables import Row, total
 
 CLAIMS = all_claims()
@@ -51,7 +51,7 @@ def test_points_keep_their_identity_under_a_hand_and_at_a_border():
 
 
 def test_ropes_that_cross_and_touch_keep_their_slots():
-    chosen = (("crossing", 15, 100), ("touching", 26, 60))
+    chosen: tuple[tuple[Motion, int, int], ...] = (("crossing", 15, 100), ("touching", 26, 60))
     scenes = [(kind, moving_ropes(np.random.default_rng([seed, 3]), 3, n, kind=kind)) for kind, seed, n in chosen]
     outcome = run(replace(CLAIMS["several.moving"], scenes=lambda effort: scenes), Effort())
     whole = outcome.rows[-1]
