@@ -76,6 +76,8 @@ def _parts(value: Any, seen: set[int], constants: bool = True) -> Iterator[bytes
         if isinstance(value, Dispatcher):
             function = value.py_func
             if constants:
+                # A file refers to the functions that its function calls by their places.
+                yield f"{function.__module__}.{function.__qualname__}".encode()
                 yield repr(sorted((name, _plain(option)) for name, option in value.targetoptions.items())).encode()
         yield from _of_code(function.__code__, function, seen, constants)
     elif isinstance(value, np.ndarray):

@@ -100,6 +100,16 @@ def test_an_edit_of_a_constant_in_another_file_is_noticed(work):
     assert run(work, ALL)[0].endswith("10.0 20.0")
 
 
+def test_a_function_that_moved_to_another_file_is_compiled_again(work):
+    run(work, ALL)
+    (work / "helpers.py").rename(work / "others.py")
+    (work / "functions.py").write_text(FUNCTIONS.replace("from helpers", "from others"))
+    out, err = run(work, ALL)
+    assert out.endswith("6.0 12.0")
+    assert "total" in out, "its caller is compiled, not loaded from a file that refers to the old place"
+    assert err == ""
+
+
 @pytest.mark.nightly
 def test_an_edit_of_comments_and_docstrings_compiles_nothing(work):
     run(work, ALL)
