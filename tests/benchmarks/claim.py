@@ -44,6 +44,7 @@ class Limit:
         at_least: The smallest value that is allowed; None for no lower bound.
         unit: Unit of the value, for the report.
         where: Field -> value, or tuple of values, of the rows to which the limit applies; all rows if it is empty.
+        sampled: The bound at a reduced share, at which one scene weighs more; None for the same bound.
         known: Why the limit is missed today; such a miss does not fail the run.
     """
 
@@ -52,10 +53,11 @@ class Limit:
     at_least: float | None = None
     unit: str = ""
     where: Mapping[str, Any] = field(default_factory=dict)
+    sampled: float | None = None
     known: str = ""
 
-    def check(self, table: Sequence[Row]) -> Row:
-        """Compare the worst row with the limit.
+    def check(self, table: Sequence[Row], share: float = 1.0) -> Row:
+        """Compare the worst row of a table, measured at some share, with the limit.
 
         Returns:
             ``limit``: the column and the rows; ``asked``, ``seen``; ``ok``: "yes", "no" or "not measured"; ``known``.
@@ -68,6 +70,8 @@ class Limit:
         values = [value for value in values if value == value]
         seen = None if not values else max(values) if self.at_most is not None else min(values)
         bound = self.at_most if self.at_most is not None else self.at_least
+        if share < 1 and self.sampled is not None:
+            bound = self.sampled
         assert bound is not None
         keeps = seen is not None and (seen <= bound if self.at_most is not None else seen >= bound)
         what = ", ".join([self.column, *(f"{name} {_text(value)}" for name, value in self.where.items())])

@@ -65,7 +65,7 @@ def run(claim: Claim, effort: Effort) -> Row:
     if not missing:
         with one_thread():
             rows = claim.table(claim.results(effort))
-    limits = [limit.check(rows) for limit in claim.limits] if rows else []
+    limits = [limit.check(rows, effort.share) for limit in claim.limits] if rows else []
     return Row(rows=rows, limits=limits, seconds=round(time.perf_counter() - begin, 1), missing=missing)
 
 

@@ -119,11 +119,11 @@ class TestRunner:
         assert ("missed:" in out) == bool(code)
         assert ("known, but met now" in out) == (limit.at_most == 45 and bool(limit.known))
 
-    def test_a_share_fails_only_if_it_is_strict(self, made):
+    def test_a_limit_may_have_another_bound_at_a_reduced_share(self, made):
         command, _ = made
-        limit = Limit("off", at_most=1)
-        assert command("--share", "0.5", limited=limit) == 0
-        assert command("--share", "0.5", "--strict", limited=limit) == 1
+        assert command("--share", "0.5", limited=Limit("off", at_most=1, sampled=10)) == 0
+        assert command("--share", "0.5", limited=Limit("off", at_most=1, sampled=9)) == 1
+        assert command(limited=Limit("off", at_most=1, sampled=1000)) == 1
 
     def test_a_partial_run_changes_only_its_claims(self, made):
         command, path = made
