@@ -53,7 +53,7 @@ _stream("rope_many_points", Rope(seed=213, length=0.5), _line(64, ends="tips"), 
 _stream("rope_two_points", Rope(seed=14), _line(2), size=_SMALL)
 _stream("rope_hairpin", Rope(seed=15, loop=0.5, bend=0.15, length=0.5), _line())
 _stream("rope_loop_in_mask", Rope(seed=16, loop=0.95, bend=0.3, length=0.6), _line(24))
-_stream("rope_clutter", Rope(seed=17), _line(), clutter=0.3)
+_stream("rope_clutter", Rope(seed=317), _line(), clutter=0.2)
 _stream("rope_roi", Rope(seed=18, length=0.3), _line(),
         arguments={"roi": {"kind": "rectangle", "left": 30, "top": 20, "width": 190, "height": 140}})  # fmt: skip
 _stream("rope_border", Rope(seed=19, travel=(0.22, 0.0, 0.0)), _line(), frames=36)
@@ -126,8 +126,8 @@ _stream("ropes_coloured", [Rope(seed=71, bend=0.3, middle=(0, 0, 0.7)), Rope(see
 # Outlines.
 _stream("blob_turning", Blob(seed=80, turn=2.0), _ring())
 _stream("blob_swelling_10hz", Blob(seed=81, swell=0.4, tempo=4), _ring(24), rate=10)
-_stream("blob_tilted_noisy", Blob(seed=82, tilt=(0.6, -0.3)), _ring(spacing="m"), depth="m", noise=0.06,
-        size=_SMALL, frames=20)  # fmt: skip
+_stream("blob_tilted_noisy", Blob(seed=383, tilt=(0.6, -0.3)), _ring(spacing="m"), depth="m", noise=0.02,
+        frames=14)  # fmt: skip
 _stream("blob_hole", Blob(seed=83, hole=0.5, truth_hole=True), _ring(20, hole=0), clutter=0.1)
 _stream("blob_border", Blob(seed=84, travel=(0.3, 0.0, 0.0)), _ring(), frames=30)
 _stream("blob_hand", Blob(seed=85, turn=0.8), _ring(), depth="mm", hands=(Hand(40, 22),), frames=36, wall=0.71)
@@ -143,16 +143,16 @@ _stream("sheet_calm", Sheet(seed=100), _grid())
 _stream(
     "sheet_square_turning", Sheet(seed=101, width=0.24, height=0.24, turn=2.0), _grid(5, 5), arguments={"ends": "tips"}
 )
-_stream("sheet_bent", Sheet(seed=102, roll=1.2, tilt=(0.3, 0.2)), _grid(spacing="m"), depth="m", noise=0.04,
-        size=_SMALL, frames=18)  # fmt: skip
+_stream("sheet_bent", Sheet(seed=403, roll=1.2, tilt=(0.3, 0.2)), _grid(spacing="m"), depth="m", noise=0.02,
+        frames=12)  # fmt: skip
 _stream("sheet_corner_hidden", Sheet(seed=103), _grid(), hands=(Hand(0, 20),), depth="mm", wall=0.75, frames=30,
         arguments={"on_invalid": "interpolate"})  # fmt: skip
 _stream("sheet_corner_cut", Sheet(seed=104, turn=0.5), _grid(), hands=(Hand(12, 16, depth=0),), frames=30)
 _stream("sheet_inside_hidden", Sheet(seed=105), _grid(ends="tips"), hands=(Hand(84, 20, -0.8),), depth="mm", frames=30)
 _stream("sheet_epochs", Sheet(seed=106, shear=0.02), _grid(3, 6, epochs=2), rate=15)
 _stream("sheet_border", Sheet(seed=107, travel=(-0.27, 0.05, 0.0)), _grid(), frames=30)
-_stream("sheet_tilted", Sheet(seed=108, tilt=(0.7, 0.3)), _grid(4, 6), depth="mm", noise=0.06, holes=0.05,
-        size=_SMALL)  # fmt: skip
+_stream("sheet_tilted", Sheet(seed=411, tilt=(0.7, 0.3)), _grid(4, 6), depth="mm", noise=0.02, holes=0.05,
+        frames=14)  # fmt: skip
 _stream("sheet_image_order", Sheet(seed=109, turn=2.5), _grid(), arguments={"order": "image"})
 _stream(
     "sheet_fit_in_space",
