@@ -53,7 +53,7 @@ _stream("rope_many_points", Rope(seed=213, length=0.5), _line(64, ends="tips"), 
 _stream("rope_two_points", Rope(seed=14), _line(2), size=_SMALL)
 _stream("rope_hairpin", Rope(seed=15, loop=0.5, bend=0.15, length=0.5), _line())
 _stream("rope_loop_in_mask", Rope(seed=16, loop=0.95, bend=0.3, length=0.6), _line(24))
-_stream("rope_clutter", Rope(seed=317), _line(), clutter=0.2)
+_stream("rope_clutter", Rope(seed=617), _line(), clutter=0.2)
 _stream("rope_roi", Rope(seed=18, length=0.3), _line(),
         arguments={"roi": {"kind": "rectangle", "left": 30, "top": 20, "width": 190, "height": 140}})  # fmt: skip
 _stream("rope_border", Rope(seed=19, travel=(0.22, 0.0, 0.0)), _line(), frames=36)
@@ -75,7 +75,7 @@ _stream("rope_held", Rope(seed=31, turn=1.5), _line(anchor="hand"), grips={"hand
 # Ropes with depth.
 _stream("rope_depth_mm", Rope(seed=40), _line(), depth="mm", wall=0.75)
 _stream("rope_depth_noisy", Rope(seed=41), _line(), depth="m", noise=0.08, holes=0.02)
-_stream("rope_depth_holes", Rope(seed=42), _line(), depth="mm", noise=0.08, holes=0.25,
+_stream("rope_depth_holes", Rope(seed=343), _line(), depth="mm", noise=0.08, holes=0.25,
         arguments={"on_invalid": "interpolate"})  # fmt: skip
 _stream("rope_depth_holes_held", Rope(seed=43), _line(), depth="m", holes=0.3, arguments={"on_invalid": "hold"})
 _stream("rope_in_metres", Rope(seed=44, tilt=(0.8, 0.2)), _line(spacing="m"), depth="m", wall=1.2)
@@ -83,7 +83,7 @@ _stream("rope_swung", Rope(seed=45, pitch=0.9, tempo=5, wander=0.06), _line(spac
 _stream("rope_towards_camera", Rope(seed=46, pitch=1.4, length=0.35), _line(), depth="m", noise=0.05)
 _stream("rope_hand_on_end", Rope(seed=47), _line(), hands=(Hand(_END, 18),), depth="mm", wall=0.72, frames=36,
         arguments={"on_invalid": "interpolate"})  # fmt: skip
-_stream("rope_hand_on_middle", Rope(seed=48, tempo=3), _line(), hands=(Hand(_MIDDLE, 16),), depth="m", noise=0.08,
+_stream("rope_hand_on_middle", Rope(seed=350, tempo=3), _line(), hands=(Hand(_MIDDLE, 16),), depth="m", noise=0.08,
         frames=36)  # fmt: skip
 _stream("rope_hands_on_both", Rope(seed=49, turn=0.8), _line(), hands=(Hand(_START, 12, -0.8), Hand(_END, 12)),
         depth="mm", noise=0.05, frames=36, rate=20)  # fmt: skip
@@ -103,7 +103,7 @@ _stream("rope_base_anchor", Rope(seed=56, turn=1.5), _line(anchor="gripper"), de
 _stream("rope_fit_in_space", Rope(seed=57, pitch=0.6), _line(lift="cloud"), depth="m", noise=0.06)
 _stream("rope_fit_in_space_hand", Rope(seed=58, tempo=3), _line(lift="cloud"), depth="mm", hands=(Hand(_END, 14),),
         frames=30)  # fmt: skip
-_stream("rope_by_depth", Rope(seed=59), _line(segmentation={"kind": "depth", "near": 0.5, "far": 0.72}), via="image",
+_stream("rope_by_depth", Rope(seed=359), _line(segmentation={"kind": "depth", "near": 0.5, "far": 0.72}), via="image",
         depth="mm", wall=0.8, noise=0.05)  # fmt: skip
 
 # Several ropes.
