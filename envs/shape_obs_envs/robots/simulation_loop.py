@@ -256,6 +256,7 @@ def run_simulation(spec: SimulationSpec, frames: SharedFrames, orders: Connectio
     for name in ("SIGINT", "SIGHUP", "SIGQUIT"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # by which the parent ends it, also where that ignores it itself
     cv2.setNumThreads(1)
     try:
         SimulationLoop(spec, frames, orders, messages).run()
