@@ -8,8 +8,13 @@ import pytest
 
 from shape_obs import Centerline, Intrinsics, Shape, ShapeDetector
 from shape_obs.bench.scenes import draw_rope
-from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.curve import FittedCurve, Length, TrackHints
 from shape_obs.geometry.polyline import arc_length, resample
+from shape_obs.geometry.topology import Chain
+from shape_obs.tracking.occluders import FREE, HIDDEN, Tips
+from shape_obs.tracking.occlusion import match_chain
+from shape_obs.tracking.predicted_rope import PredictedRope
+from shape_obs.tracking.prediction import Prediction
 from tests.benchmarks.hidden import track
 from tests.benchmarks.scenes.hidden_ropes import Cover, hidden_rope, hidden_ropes
 from tests.benchmarks.tables import Row
@@ -263,19 +268,6 @@ def test_a_rope_that_came_back_in_a_wrong_place_is_put_right_by_its_own_tip():
     assert row.ok >= 0.95 * row.due, row
 
 
-def axis(turn: float = 0.0, count: int = 64, shift: float = 0.0) -> np.ndarray:
-    """Return a rope of 300 pixels that is bent at one end, turned about its middle by an angle in degrees."""
-    at = np.linspace(-0.5, 0.5, count)
-    points = 300 * np.stack([at, 0.3 * np.clip(at - 0.2, 0, None)], axis=1)
-    c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
-    return points @ np.array([[c, s], [-s, c]]) + (320 + shift, 240)
-
-
-def curve(turn: float = 0.0, shift: float = 0.0) -> FittedCurve:
-    points = axis(turn, shift=shift)
-    return FittedCurve.through(points, np.zeros(len(points), bool))
-
-
 def last_shape(masks: list[np.ndarray]) -> Shape:
     detector = ShapeDetector([Centerline(n=12, ends="tips", anchor=(150, 240))])
     return [detector.detect_mask(mask).shapes[0] for mask in masks][-1]
@@ -311,6 +303,20 @@ def test_a_rope_of_which_little_more_than_a_third_is_in_sight_is_followed():
         assert away[shape.visible].max() < 3  # of gaps of 9 px
         seen = shape.visible.sum()
     assert seen >= 6
+
+
+@pytest.mark.parametrize(("first", "in_doubt"), [(0.0, True), (0.3, False)])
+def test_it_is_in_doubt_which_end_is_missing_where_a_free_end_may_be_folded_back(first, in_doubt):
+    """Something hides the first end, but the prediction says that the last is missing: a hairpin may have closed."""
+    at = (np.arange(16) + 0.5) / 16 - 0.5
+    nodes = 300 * np.stack([at, 0.3 * np.clip(at - 0.2, 0, None)], axis=1) + (320, 240)
+    length = TrackHints(length=Length(pixels=300.0, frames=10.0))
+    known = Prediction(nodes, 300.0, Chain(16), length, 1.0, 8.0, True)
+    points = PredictedRope(known).at(np.linspace(first, first + 0.7, 64))
+    form = FittedCurve.through(points, np.zeros(64, bool))
+    found = match_chain(form, known, Tips((HIDDEN, FREE), None, 8.0))
+    assert found.hints.hidden == pytest.approx((0.3, 0.0), abs=0.08)
+    assert ("in doubt which end" in found.ambiguity) == in_doubt
 
 
 class TestSliding:
