@@ -87,7 +87,8 @@ def follows(found: Curve, axis: Curve, width: float) -> bool:
 def seen_axis(curve: Curve, size: Sequence[int]) -> Curve:
     """Return the longest part of an axis inside an image of ``size`` ``(H, W)``, up to its border."""
     fine = resample(curve, 0.25)
-    part = fine[longest_run(((fine >= -0.5) & (fine <= np.array([size[1], size[0]]) - 0.5)).all(axis=1))]
+    inside = np.all((fine >= -0.5) & (fine <= np.array([size[1], size[0]]) - 0.5), axis=1)  # (P,)
+    part = fine[longest_run(np.asarray(inside))]
     return resample(part, 1.0) if len(part) else part
 
 

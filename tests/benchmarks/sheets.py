@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from itertools import pairwise, product
 from typing import Any, Final, get_args
 
@@ -241,8 +242,7 @@ CLAIMS: Final = (
     *(
         Claim(f"sheets.space.{name}", f"Cloths that are tilted, bent up at a corner, or folded: depth {name}.",
               swung(noise), follow_hidden, ("rows", "motion"), VISIBLE,
-              limits=tuple(Limit(each.column, each.at_most, each.at_least, each.unit, each.where, _FOLDED)
-                           for each in VISIBLE_LIMITS))
+              limits=tuple(replace(each, known=_FOLDED) for each in VISIBLE_LIMITS))
         for name, noise in (("exact", False), ("noisy", True))
     ),
 )  # fmt: skip
