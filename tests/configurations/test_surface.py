@@ -38,7 +38,7 @@ def towel() -> Sheet:
 @pytest.mark.parametrize("ends", ["centers", "tips"])
 @pytest.mark.parametrize(("rows", "cols"), [(4, 8), (2, 2), (3, 3), (8, 8), (6, 10)])
 def test_points_of_bent_sheets_lie_on_their_material_from_the_first_corner_on(rows, cols, ends):
-    rng, spec, distances = np.random.default_rng(3), Surface(rows=rows, cols=cols, ends=ends), []
+    rng, spec, distances = np.random.default_rng(12), Surface(rows=rows, cols=cols, ends=ends), []
     for number in range(8):
         sheet = random_sheet(rng, ASPECTS[number % 4], 45 * number + rng.uniform(-5, 5), tilt=0.02)
         shape = one(sheet.mask, spec)
@@ -49,7 +49,7 @@ def test_points_of_bent_sheets_lie_on_their_material_from_the_first_corner_on(ro
         assert corner == first or undecided
         off = away(shape.pixels, sheet, rows, cols, ends, corner)
         assert off.slip <= 0.5
-        assert off.mean <= 3.5
+        assert off.mean <= 3.0
         distances.append(off.mean)
     assert np.mean(distances) <= 1.5
 
@@ -127,11 +127,12 @@ class TestGate:
         detector = ShapeDetector([Surface()])
         before = detector.detect_mask(towel.mask).shapes[0]
         bitten = towel.mask.copy()
-        cv2.circle(bitten, tuple(np.round(towel.points[0, 32]).astype(int).tolist()), 30, (0,), -1)
+        cv2.circle(bitten, tuple(np.round(towel.points[0, 32]).astype(int).tolist()), 34, (0,), -1)
         covered = detector.detect_mask(bitten).shapes[0]
-        under = np.linalg.norm(before.pixels - towel.points[0, 32], axis=1) < 28
-        assert not covered.visible[under].any()
-        assert covered.visible[~under].sum() >= (~under).sum() - 2
+        distance = np.linalg.norm(before.pixels - towel.points[0, 32], axis=1)
+        assert np.count_nonzero(distance < 32) == 2
+        assert not covered.visible[distance < 32].any()
+        assert covered.visible[distance > 36].all()
         np.testing.assert_allclose(covered.pixels, before.pixels, atol=2)
         after = detector.detect_mask(towel.mask).shapes[0]
         np.testing.assert_allclose(after.pixels, before.pixels, atol=0.1)
