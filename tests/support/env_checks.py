@@ -18,13 +18,15 @@ _HARMLESS = (
 
 def check_both(env: gym.Env[Any, Any]) -> None:
     """Check an environment with both checkers; a warning fails. Stable-Baselines3 may not be installed."""
+    # Imported first: what the libraries warn of on import is no fault of the environment.
+    try:
+        from stable_baselines3.common.env_checker import check_env as check_sb3
+    except ModuleNotFoundError:
+        check_sb3 = None
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for message in _HARMLESS:
             warnings.filterwarnings("ignore", message=message)
         check_env(env, skip_render_check=True)
-        try:
-            from stable_baselines3.common.env_checker import check_env as check_sb3
-        except ImportError:
-            return
-        check_sb3(env, warn=False)
+        if check_sb3 is not None:
+            check_sb3(env, warn=False)
