@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sheet_truth import away
 from sklearn.cluster import KMeans as TheirKMeans
 from sklearn.metrics import calinski_harabasz_score
 
@@ -28,6 +27,7 @@ from tests.benchmarks.scenes.clouds import ring_cloud, rope_cloud, sheet_cloud
 from tests.benchmarks.scenes.ropes import random_rope
 from tests.benchmarks.scenes.sheets import random_sheet
 from tests.benchmarks.scores import outline_score, score
+from tests.benchmarks.sheet_scores import score_sheet
 
 NAMES = ("kmeans", "gmm", "fcm", "kohonen")
 ALL: tuple[Clusterer, ...] = (KMeans(), GaussianMixture(), FuzzyCMeans(), Kohonen())
@@ -130,7 +130,7 @@ class TestShapes:
     def test_a_sheets_centres_keep_near_their_places(self, clustering):
         sheet = small_sheet(10.0)
         shape = ShapeDetector([Surface(rows=3, cols=6)], clustering=clustering).detect_mask(sheet.mask).shapes[0]
-        assert away(shape.pixels, sheet, 3, 6).slip < 1.2
+        assert score_sheet(shape.pixels, sheet, 3, 6, "centers", 0).slip < 1.2
         assert shape.visible.all()
 
     def test_indices_follow_the_track(self, clustering):
@@ -200,7 +200,7 @@ def test_an_anchored_cloth_turns_with_its_lattice():
     for sheet in moving_sheet(np.random.default_rng(1), 10, 12):
         u, v = sheet.points[0, 0]
         shape = detector.detect_mask(sheet.mask, anchors={"corner": (u, v)}).shapes[0]
-        assert away(shape.pixels, sheet, 2, 3).slip < 0.8
+        assert score_sheet(shape.pixels, sheet, 2, 3, "centers", 0).slip < 0.8
 
 
 @pytest.mark.parametrize("kind", ["smooth", "u", "s", "loop"])

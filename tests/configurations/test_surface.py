@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sheet_truth import ASPECTS, away, first_corner, found_corner
 from sklearn.metrics import calinski_harabasz_score
 
 from shape_obs import Intrinsics, ShapeDetector, SpecError, Surface
 from shape_obs.bench.scenes import Sheet, draw_sheet
 from tests.benchmarks.scenes.sheets import random_sheet, rotation, true_lattice
+from tests.benchmarks.sheet_scores import ASPECTS, best_corner, by_the_rule
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "real"
 
@@ -44,10 +44,8 @@ def test_points_of_bent_sheets_lie_on_their_material_from_the_first_corner_on(ro
         shape = one(sheet.mask, spec)
         assert shape.ok, shape.reason
         assert shape.quality > 0.35
-        first, undecided = first_corner(sheet)
-        corner = found_corner(shape.pixels, sheet, spec, ends)
-        assert corner == first or undecided
-        off = away(shape.pixels, sheet, rows, cols, ends, corner)
+        right, off = by_the_rule(shape, sheet, spec)
+        assert right
         assert off.slip <= 0.5
         assert off.mean <= 3.0
         distances.append(off.mean)
@@ -88,8 +86,7 @@ class TestNumbering:
         assert right[0] * down[1] - right[1] * down[0] > 0  # never mirrored
         right, down = right / np.linalg.norm(right), down / np.linalg.norm(down)
         assert right[0] + down[1] >= 2 * np.cos(np.radians(45)) - 0.05
-        expected, undecided = first_corner(sheet)
-        assert found_corner(shape.pixels, sheet, Surface()) == expected or undecided
+        assert by_the_rule(shape, sheet, Surface())[0]
 
     @pytest.mark.parametrize("corner", range(4))
     def test_an_anchor_begins_at_its_corner(self, towel, corner):
@@ -165,7 +162,7 @@ class TestSmallImages:
             sheet = placed(points, 31.0 * seed, scale, size)
             shape = one(sheet.mask)
             assert shape.ok, shape.reason
-            best = away(shape.pixels, sheet, 4, 8, corner=found_corner(shape.pixels, sheet, Surface()))
+            _, best = best_corner(shape, sheet, Surface())
             assert best.mean <= 0.8
             assert best.slip <= 0.5
 
