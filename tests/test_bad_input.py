@@ -192,21 +192,6 @@ def test_garbage_masks_and_depth_never_break_the_detector(data, size, n, rule, s
         detector.detect_mask(mask, depth, camera)
 
 
-@settings(max_examples=20)
-@given(st.data(), SHAPE, RULES)
-def test_garbage_images_never_break_the_detector(data, size, rule):
-    detector = ShapeDetector(segmentation=rule)
-    for _ in range(2):
-        detector.detect(data.draw(hnp.arrays(np.uint8, (*size, 3))))
-
-
-@pytest.mark.parametrize("size", [(1, 30), (30, 1), (1, 1), (16, 1), (2, 12), (5, 5), (1, 640)])
-def test_masks_that_are_all_object(size):
-    for ends in ("tips", "centers"):
-        detector = ShapeDetector(Centerline(n=5, ends=ends), GrayRange(min_area=1))
-        detector.detect_mask(np.ones(size, bool))
-
-
 def test_a_rope_one_pixel_thick_is_followed_to_its_ends():
     mask = np.zeros((60, 100), bool)
     mask[30, 10:90] = True

@@ -90,12 +90,6 @@ def test_librealsense_agrees(realsense, model, theirs):
     np.testing.assert_allclose(camera.project(points), projected, atol=2e-3)  # it counts in single precision
 
 
-def test_the_optical_frame_has_x_right_y_down_and_z_as_depth():
-    camera = Intrinsics(640, 480, 600.0, 500.0, 320.0, 240.0)
-    np.testing.assert_allclose(camera.deproject([920.0, 740.0], 2.0), [2.0, 2.0, 2.0])
-    np.testing.assert_allclose(camera.matrix @ [2.0, 2.0, 2.0], np.array([920.0, 740.0, 1.0]) * 2)
-
-
 @pytest.mark.parametrize("model", MODELS)
 def test_unknown_depth_and_pixels_stay_unknown(model):
     camera = Intrinsics(**D455, model=model, coeffs=(0.01, 0, 0, 0, 0))

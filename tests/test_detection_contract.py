@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from typing import Any
 
@@ -97,15 +96,3 @@ def test_every_detection_is_watched_and_none_twice(monkeypatch, wave):
         detector.reset()
         detector.detect_mask(mask=wave.mask)
         assert len(broken) == 2
-
-
-def test_it_takes_a_fraction_of_the_time_of_a_detection(wave):
-    detector = ShapeDetector()
-    detection = detector.detect_mask(wave.mask)
-    times = []
-    for _ in range(200):
-        begin = time.perf_counter()
-        broken_detection(detection, detector, in_2d=True, in_3d=False, diagonal=400.0, stamp=None)
-        broken_tracks(detection.shapes, {"centerline": 1})
-        times.append(time.perf_counter() - begin)
-    assert min(times) < 1e-4

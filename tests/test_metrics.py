@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -87,15 +85,6 @@ class TestDistance:
         corner = np.array([[0.0, 0], [10, 0], [10, 10]])
         np.testing.assert_allclose(distance([[5, 3], [12, 5], [0, 10], [-3, -4]], corner), [3, 2, 10, 5])
         assert distance([[0, 10]], corner, closed=True) == pytest.approx(50**0.5)
-
-    @given(seed=st.integers(0, 1000), dimension=st.integers(2, 3))
-    def test_no_place_on_the_line_is_nearer(self, seed, dimension):
-        rng = np.random.default_rng(seed)
-        line, points = rng.normal(size=(6, dimension)), rng.normal(size=(9, dimension))
-        dense = np.concatenate([np.linspace(a, b, 400) for a, b in pairwise(line)])
-        expected = np.linalg.norm(points[:, None] - dense, axis=2).min(axis=1)
-        np.testing.assert_allclose(distance(points, line), expected, atol=2e-2)
-        assert np.all(distance(points, line) <= expected + 1e-9)
 
 
 class TestCoverage:

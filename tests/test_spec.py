@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from dataclasses import dataclass
 from typing import Any, cast
@@ -24,7 +23,6 @@ from shape_obs import (
     Rectangle,
     Segmentation,
     ShapeDetector,
-    Spec,
     SpecError,
     Whole,
 )
@@ -211,15 +209,3 @@ def test_a_subclass_registers_a_new_kind():
             Everything(value="x")  # type: ignore[arg-type]
     finally:
         Segmentation._members.pop("test-everything")
-
-
-def test_a_kind_needs_a_family():
-    with pytest.raises(TypeError, match="Lonely: kind='lonely' needs a base class declared with family="):
-
-        class Lonely(Spec, kind="lonely"):
-            pass
-
-
-def test_specs_are_frozen():
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        Centerline().n = 3  # type: ignore[misc]

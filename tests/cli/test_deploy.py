@@ -8,11 +8,9 @@ import subprocess
 import sys
 import time
 from importlib.util import find_spec
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from shape_obs import Target, save_config
 
@@ -113,27 +111,3 @@ def test_mistakes_are_reported_in_one_line(run, arguments, code, message):
     assert (ended, out) == (code, "")
     assert message in err
     assert err.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("goal: [", "not valid YAML"),
-        ("version: 2\ngoal: {}", "expected 'version: 1' and 'goal'"),
-        ("version: 1\ngoal: {points: [[0, 0, 0]], frames: base}", "did you mean 'frame'"),
-    ],
-)
-def test_bad_goal_files(run, tmp_path, text, message):
-    path = tmp_path / "goal.yaml"
-    path.write_text(text)
-    code, _, err = run("deploy", *CELL, "--goal", path)
-    assert code == 1
-    assert message in err
-
-
-def test_goals_survive_the_file(tmp_path: Path):
-    target = Target(((0.1, 0.2, 0.01), (0.3, 0.2, 0.01)), layout={"kind": "centerline"})
-    target.save(tmp_path / "goal.yaml")
-    assert Target.load(tmp_path / "goal.yaml") == target
-    assert yaml.safe_load((tmp_path / "goal.yaml").read_text())["version"] == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["goal.yaml"]

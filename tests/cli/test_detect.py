@@ -8,7 +8,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import yaml
 from PIL import Image
 
 from shape_obs.drawing import GOAL, SLOTS, VALID
@@ -89,16 +88,6 @@ def test_a_wrong_unit_of_depth_is_a_line(photo, run):
     assert lines(err)[1].endswith(f"20 points, 20 with depth; picture: {Path('overlays/rope.png')}")
 
 
-def test_pick_learns_colours_that_detect_then_reads(photo, run):
-    run("detect", photo, "--pick", "160,143", "--save-config", "rope.yaml", "--out", "o")
-    segmentation = yaml.safe_load(Path("rope.yaml").read_text())["scene"]["segmentation"]
-    assert segmentation["kind"] == "click"
-    assert segmentation["picks"] == [[160.0, 143.0]]
-    code, out, _ = run("detect", photo, "--config", "rope.yaml", "--out", "o")
-    assert code == 0
-    assert json.loads(out)["ok"] is True
-
-
 def test_each_image_has_a_line_and_one_bad_file_does_not_lose_the_others(photo, run):
     Path("junk.png").write_bytes(b"this is no picture")
     code, out, err = run("detect", "junk.png", "rope.png", "swapped.png", "none.png", *HSV)
@@ -166,13 +155,6 @@ def test_bad_arguments_get_one_clear_line(photo, run, monkeypatch, arguments, co
     assert (ended, out) == (code, "")
     assert message in err
     assert len(err.strip().splitlines()) == 1
-
-
-def test_a_function_that_returns_no_mask_is_a_line_of_its_image(photo, run, monkeypatch):
-    monkeypatch.syspath_prepend(".")
-    code, _, err = run("detect", "rope.png", "--segmentation", "my_masks:floats")
-    assert code == 1
-    assert lines(err)[0].startswith("rope.png: segmentation my_masks:floats: expected a numpy array of bool or uint8")
 
 
 def towel(folder: Path) -> Path:

@@ -110,13 +110,6 @@ def test_photos_and_videos_are_recorded_and_replayed(place, tmp_path, run):
         assert (code, json.loads(out)["shapes"]["centerline"]["ok"]) == (0, 3)
 
 
-def test_depth_can_be_left_out(recorded, tmp_path, run):
-    code, _, _ = run("record", "--source", recorded, "-o", tmp_path / "flat", "--depth", "no")
-    assert code == 0
-    assert not Recording(tmp_path / "flat").has_depth
-    assert not (tmp_path / "flat" / "depth").exists()
-
-
 def test_a_shape_that_is_not_there_is_a_row(recorded, tmp_path, run):
     save_config(
         tmp_path / "red.yaml",

@@ -20,7 +20,7 @@ from shape_obs.clustering.gmm import GaussianMixture
 from shape_obs.clustering.kmeans import KMeans
 from shape_obs.clustering.kohonen import Kohonen
 from shape_obs.geometry.observed import Samples
-from shape_obs.geometry.topology import Chain, Grid
+from shape_obs.geometry.topology import Chain
 from shape_obs.metrics import calinski_harabasz, distance, nearest, spacing_cv
 from tests.benchmarks.scenes.blobs import random_blob
 from tests.benchmarks.scenes.clouds import ring_cloud, rope_cloud, sheet_cloud
@@ -83,15 +83,6 @@ class TestCentres:
         share = (1 / square) / (1 / square).sum(axis=1, keepdims=True)
         np.testing.assert_allclose((share**2).T @ blobs / (share**2).sum(axis=0)[:, None], places, atol=1e-3)
 
-    def test_a_kohonen_map_unfolds_over_a_sheet(self):
-        pixels = mask_pixels(small_sheet(0.0).mask)
-        kohonen, kmeans = (c.centres(counted(pixels), Grid(4, 8), 0).places for c in (Kohonen(steps=300), KMeans()))
-        rows = kohonen.reshape(4, 8, 2)
-        steps = np.linalg.norm(np.diff(rows, axis=1), axis=-1)
-        assert steps.max() < 2.5 * steps.mean(), "neighbours in the lattice are neighbours on the sheet"
-        scores = [calinski_harabasz(pixels, nearest(pixels, places)) for places in (kohonen, kmeans)]
-        assert 0.8 * scores[1] < scores[0] < 1.02 * scores[1]
-
     def test_samples_in_one_place_are_no_error(self):
         with warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -153,14 +144,6 @@ class TestShapes:
         np.testing.assert_allclose(shape.points3d[shape.valid, 2], 0.8)
         back = intrinsics.project(shape.points3d[shape.valid].astype(float))
         np.testing.assert_allclose(back, shape.pixels[shape.valid], atol=0.01)
-
-    def test_a_radius_takes_the_centres_of_a_seen_cloud_to_the_axis(self, clustering, wave, intrinsics):
-        depth = np.full(wave.mask.shape, 0.8)
-        points = []
-        for radius in (0.0, 0.01):
-            detector = ShapeDetector([Centerline(n=8, lift="cloud", radius=radius)], clustering=clustering)
-            points.append(detector.detect_mask(wave.mask, depth, intrinsics).shapes[0].points3d)
-        np.testing.assert_allclose(np.diff(points, axis=0)[0, :, 2], 0.01 * np.pi / 4, atol=5e-4)
 
     def test_clouds_are_clustered_point_by_point(self, clustering):
         rng = np.random.default_rng(0)

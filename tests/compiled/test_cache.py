@@ -110,22 +110,6 @@ def test_a_function_that_moved_to_another_file_is_compiled_again(work):
     assert err == ""
 
 
-@pytest.mark.nightly
-def test_an_edit_of_comments_and_docstrings_compiles_nothing(work):
-    run(work, ALL)
-    (work / "helpers.py").write_text("# comment\n" + HELPERS.format(factor=3, doc="another"))
-    assert run(work, ALL)[0] == "[] 6.0 12.0"
-
-
-@pytest.mark.nightly
-def test_a_caller_is_compiled_with_a_function_that_was_loaded(work):
-    run(work, ALL)
-    for path in files(work, "functions.twice*"):
-        path.unlink()
-    assert run(work, "functions.total(np.ones(2), 1)\n" + ALL)[0] == "['twice'] 6.0 12.0"
-    assert run(work, ALL)[0] == "[] 6.0 12.0"
-
-
 def test_a_damaged_file_is_written_again(work):
     run(work, ALL)
     for path in files(work, "functions.t*"):
@@ -151,14 +135,6 @@ def test_nothing_is_written_next_to_the_source(work):
     assert run(work, ALL, **home)[0] == EVERYTHING
     assert {path.name for path in work.iterdir()} == before | {"home"}
     assert run(work, ALL, **home)[0] == "[] 6.0 12.0"
-
-
-@pytest.mark.nightly
-def test_internals_of_numba_that_changed_give_one_warning(work):
-    broken = "import shape_obs.compiled.cache as c\ndef fail(*a): raise AttributeError('moved')\nc.dumps = fail\n"
-    out, err = run(work, broken + ALL)
-    assert out == EVERYTHING
-    assert err.count("Compiled functions cannot be kept") == 1
 
 
 @pytest.mark.nightly

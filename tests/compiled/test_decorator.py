@@ -7,7 +7,7 @@ import pickle
 import numpy as np
 import pytest
 
-from shape_obs.compiled import compiled, decorator
+from shape_obs.compiled import compiled
 
 
 @compiled
@@ -59,14 +59,3 @@ def test_functions_are_pickled_by_name(function):
     data = pickle.dumps(function)
     assert len(data) < 200
     assert function.py_func.__name__.encode() in data
-
-
-@pytest.mark.parametrize(("size", "words"), [(3_500, 0), (40_000, 1)])
-def test_only_what_takes_long_is_announced_on_stderr(size, words, monkeypatch, capsys):
-    monkeypatch.setattr(decorator, "code_size", lambda functions: size)
-    entry = decorator._wrapped(lambda x: x + 1, ("(f8,)",), {})
-    decorator._announce([entry])
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert len(err.splitlines()) == words
-    assert not words or "compiling 1 functions for this processor: about 20 s" in err

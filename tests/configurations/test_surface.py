@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sklearn.metrics import calinski_harabasz_score
 
-from shape_obs import Intrinsics, ShapeDetector, SpecError, Surface
+from shape_obs import Intrinsics, ShapeDetector, Surface
 from shape_obs.bench.scenes import Sheet, draw_sheet
 from tests.benchmarks.scenes.sheets import random_sheet, rotation, true_lattice
 from tests.benchmarks.sheet_scores import ASPECTS, best_corner, by_the_rule
@@ -64,14 +64,6 @@ class TestLattice:
         assert shape.ok
         assert shape.visible.all()
         np.testing.assert_allclose(shape.points2d.reshape(*lattice, 2), np.stack([u, v], axis=-1), atol=0.7)
-
-    def test_specs(self):
-        assert ShapeDetector(["surface"]).shapes[0].layout.size == 32
-        assert Surface.from_dict({"kind": "surface", "rows": 3, "cols": 5}).layout.size == 15
-        with pytest.raises(ValueError, match=r"surface: rows and cols must lie in 2...100, got 1 and 8"):
-            Surface(rows=1)
-        with pytest.raises(SpecError, match="unknown field 'columns'; did you mean 'cols'"):
-            Surface.from_dict({"kind": "surface", "columns": 5})
 
 
 class TestNumbering:
@@ -142,15 +134,6 @@ class TestGate:
         assert shape.ok
         assert np.flatnonzero(~shape.visible).tolist() == [12]
         np.testing.assert_allclose(shape.points2d, whole.points2d, atol=0.1)
-
-    @settings(max_examples=15)
-    @given(seed=st.integers(0, 2**32 - 1))
-    def test_anything_may_be_a_mask(self, seed):
-        rng = np.random.default_rng(seed)
-        mask = cv2.resize(rng.random((rng.integers(3, 9), rng.integers(3, 9))), (96, 72)) > rng.uniform(0.3, 0.7)
-        detector = ShapeDetector([Surface()])
-        for view in (mask, np.roll(mask, 2, axis=1), mask[::-1]):
-            detector.detect_mask(view)
 
 
 class TestSmallImages:

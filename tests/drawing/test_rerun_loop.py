@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import sys
 from typing import Any
 
@@ -88,15 +87,6 @@ def test_images_are_those_of_the_camera(stream):
     np.testing.assert_allclose(matrix, [[150, 0, 79.5], [0, 150, 59.5], [0, 0, 1]])
 
 
-def test_unknown_depth_in_metres_is_zero(stream):
-    recording, path = stream
-    depth = np.array([[0.5, np.nan], [-1.0, np.inf]], np.float32)
-    shape_obs.log_rerun(None, depth=depth, recording=recording)
-    recording.disconnect()
-    raw = bytes(read_rrd(path, "/camera/image/depth", "DepthImage:buffer")[0][0])
-    np.testing.assert_array_equal(np.frombuffer(raw, np.float32), np.array([0.5, 0, 0, 0], np.float32))
-
-
 def test_colours_say_which_points_are_valid(stream):
     recording, path = stream
     detector = ShapeDetector([Centerline(n=12, name="rope")], BLUE, on_missing="hold", max_age=9.0)
@@ -180,15 +170,3 @@ def test_bad_images_and_a_missing_library_are_reported(stream, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(ImportError, match=r'pip install "\.\[rerun\]"'):
         shape_obs.log_rerun(None)
-
-
-def test_streams_are_counted_apart_and_close_when_they_are_dropped(tmp_path):
-    for name, frames in (("a", 3), ("b", 2)):
-        recording = rr.RecordingStream("test", recording_id=name)
-        recording.save(str(tmp_path / f"{name}.rrd"))
-        for _ in range(frames):
-            shape_obs.log_rerun(None, frame()[0], recording=recording)
-        del recording
-        gc.collect()
-        logged = read_rrd(tmp_path / f"{name}.rrd", "/camera/image/rgb", "EncodedImage:blob")
-        assert list(logged) == list(range(frames))

@@ -10,13 +10,9 @@ from hypothesis import strategies as st
 
 from shape_obs import Feature
 from shape_obs.features import (
-    Centroid,
-    ContourMoments,
     Curvature,
     Length,
     Orientation,
-    RegionMoments,
-    Tangents,
     TurningAngles,
 )
 from shape_obs.geometry.topology import Chain, Ring, Topology
@@ -57,30 +53,6 @@ class TestSymmetries:
         before = feature.compute(shape(points, layout), VIEW)
         after = feature.compute(shape(scale * turned(points, angle) + shift, layout), VIEW)
         np.testing.assert_allclose(after, transformed(feature, before, angle, shift, scale), atol=1e-3, rtol=1e-3)
-
-    @pytest.mark.parametrize("layout", [Chain(20), Ring(32)])
-    @given(bend=bends)
-    def test_the_other_way_along(self, layout, bend):
-        points = drawn(layout, bend)
-        # A ring keeps its point 0.
-        back = points[::-1] if isinstance(layout, Chain) else np.roll(points[::-1], 1, axis=0)
-        one, other = shape(points, layout), shape(back, layout)
-
-        def reverse(values: np.ndarray) -> np.ndarray:
-            return values[::-1] if isinstance(layout, Chain) else np.roll(values[::-1], 1, axis=0)
-
-        for feature in (TurningAngles(), Curvature(max_curvature=1e3)):
-            np.testing.assert_allclose(feature.compute(other, VIEW), -reverse(feature.compute(one, VIEW)), atol=1e-2)
-        tangents = reverse(Tangents().compute(one, VIEW).reshape(-1, 3))
-        np.testing.assert_allclose(Tangents().compute(other, VIEW), -tangents.ravel(), atol=1e-4)
-        same: list[Feature] = [Length(), Centroid(), ContourMoments(order=3)]
-        if isinstance(layout, Ring):
-            same += [RegionMoments(order=3), Orientation()]
-        else:
-            heading = Orientation().compute(one, VIEW)
-            np.testing.assert_allclose(Orientation().compute(other, VIEW), -heading, atol=1e-3)
-        for feature in same:
-            np.testing.assert_allclose(feature.compute(other, VIEW), feature.compute(one, VIEW), atol=1e-4)
 
 
 def _ambiguous(points: np.ndarray, feature: Feature, layout: Topology) -> bool:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import given
@@ -54,29 +53,6 @@ def draw(layout: Topology, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return points, known
 
 
-@pytest.fixture(scope="module")
-def recorded():
-    """Return true shapes of random episodes with far goals, and their goals: {layout: (M, N, 3)}, in metres."""
-    pytest.importorskip("mujoco")
-    import shape_obs_envs  # noqa: F401
-
-    shapes: dict[Topology, list[np.ndarray]] = {}
-    for name, layout, episodes in (("Cable", ROPE, 3), ("Ring", OUTLINE, 2), ("Cloth", SHEET, 1)):
-        env = gym.make(f"ShapeObs/{name}-v0", render_observation=False, difficulty="far", disable_env_checker=True)
-        rng, found = np.random.default_rng(0), shapes.setdefault(layout, [])
-        action = np.zeros(cast(gym.spaces.Box, env.action_space).shape, np.float32)
-        for seed in range(episodes):
-            observation, _ = env.reset(seed=seed)
-            found.append(np.reshape(observation["desired_goal"], (-1, 3)))
-            for k in range(48):
-                if k % 8 == 0:  # held: white noise hardly moves the grippers
-                    action = rng.uniform(-1, 1, action.shape).astype(np.float32)
-                    found.append(cast(Any, env.unwrapped).truth(*(() if layout == SHEET else (layout.size,))))
-                env.step(action)
-        env.close()
-    return {layout: np.array(found) for layout, found in shapes.items()}
-
-
 class TestClosedForms:
     @pytest.mark.parametrize("axes", [(0.2, 0.2), (0.3, 0.1)], ids=["circle", "ellipse"])
     def test_an_ellipse_is_its_centre_and_half_axes_alone(self, axes):
@@ -108,14 +84,6 @@ class TestClosedForms:
         cases.append((BSpline(), OUTLINE, control, closed(np.arange(32) / 4)))
         for feature, layout, expected, points in cases:
             np.testing.assert_allclose(fit(feature, points, layout), expected, atol=3e-5)
-
-    @pytest.mark.parametrize("feature", [Bezier(degree=3), BSpline(coefficients=4)])
-    def test_a_cubic_sheet_is_kept_exactly_and_its_corners_are_control_points(self, feature):
-        v, u = np.meshgrid(np.linspace(0, 1, 4), np.linspace(0, 1, 8), indexing="ij")
-        sheet = np.stack([0.3 * u, 0.2 * v, 0.1 * u**3 - 0.2 * u * v**2], axis=2).reshape(-1, 3)
-        assert feature.error(shape(sheet, SHEET), VIEW) < 1e-7
-        control = fit(feature, sheet, SHEET).reshape(4, 4, 3)
-        np.testing.assert_allclose(control[::3, ::3], sheet.reshape(4, 8, 3)[::3, ::7], atol=1e-6)
 
 
 class TestMoved:
@@ -170,12 +138,6 @@ def test_no_points_in_view_leave_the_bounds(feature, layout, overhead, seed):
     slack = 1e-5 * (high - low)
     assert (values >= low - slack).all()
     assert (values <= high + slack).all()
-
-
-@each_fit
-def test_a_name_and_a_number_are_all_that_a_config_needs(feature, layout):
-    assert Feature.from_dict(feature.to_dict()) == feature
-    assert feature.invertible
 
 
 @pytest.mark.parametrize(

@@ -51,10 +51,6 @@ class TestCentroid:
         np.testing.assert_allclose(some[0], -some[2], atol=1e-6)
         assert np.isnan(values(make(origin="centroid"), rope(unknown=[0, 1, 2]))).all()
 
-    def test_bounds_are_the_box_from_end_to_end_either_way(self, make):
-        low, high = make().bounds(Chain(3), VIEW)
-        np.testing.assert_array_equal(make(origin="centroid").bounds(Chain(3), VIEW), [low - high, high - low])
-
 
 class TestAnchors:
     def test_in_pixels(self):

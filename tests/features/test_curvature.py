@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from drawn_shapes import LINES, OVERHEAD, PAIRS, VIEW, angles, bends, circle, drawn, rectangle, shape, turned
+from drawn_shapes import LINES, OVERHEAD, PAIRS, VIEW, angles, bends, circle, drawn, shape, turned
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -124,20 +124,6 @@ class TestClosedForms:
         assert (TurningAngles(frame="pixels").compute(ring, VIEW) > 0).all()
         assert (TurningAngles(frame="base").compute(ring, VIEW) < 0).all()
         np.testing.assert_allclose(TurningAngles(frame="base").compute(ring, VIEW).sum(), -2 * np.pi, atol=1e-5)
-
-    def test_a_rectangle(self):
-        w, h = 0.3, 0.1
-        ring, around = shape(rectangle(w, h), Ring(20)), 2 * (w + h)
-        np.testing.assert_allclose(Length().compute(ring, VIEW), [around], rtol=1e-6)
-        np.testing.assert_allclose(
-            RegionMoments(order=3).compute(ring, VIEW),
-            [w * h, w / 2, h / 2, w / h / 12, 0, h / w / 12, 0, 0, 0, 0],
-            atol=1e-6,
-        )
-        xx, yy = (w**3 / 6 + h * w**2 / 2) / around**3, (h**3 / 6 + w * h**2 / 2) / around**3
-        np.testing.assert_allclose(
-            ContourMoments(order=3).compute(ring, VIEW), [around, w / 2, h / 2, xx, 0, yy, 0, 0, 0, 0], atol=1e-6
-        )
 
     @given(bends, st.sampled_from([Chain(20), Ring(32)]))
     def test_moments_of_a_line_are_those_of_many_points_on_it(self, bend, layout):

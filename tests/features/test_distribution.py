@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -88,16 +87,6 @@ class TestFile:
         assert (back.about["shapes"], back.about["schema_hashes"]) == (200, ["abc"])
         back.save(tmp_path / "b.npz")
         assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
-
-    def test_an_interrupted_write_leaves_what_was_there(self, tmp_path, monkeypatch):
-        def interrupted(file: Any, **_: Any) -> None:
-            file.write(b"half")
-            raise KeyboardInterrupt
-
-        monkeypatch.setattr(np, "savez", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            fit().save(tmp_path / "a.npz")
-        assert list(tmp_path.iterdir()) == []
 
     def test_a_damaged_file_raises_an_error(self, file):
         content = Path(file).read_bytes()

@@ -84,13 +84,6 @@ def test_wrong_values_are_an_error_in_every_frame(values, error, message, when):
         env.reset(seed=0) if when == "first frame" else env.step(env.action_space.sample())
 
 
-@pytest.mark.parametrize("values", [np.array([0, 1]), np.array([False, True]), np.array([0.25, 0.75], np.float32)])
-def test_whole_numbers_flags_and_single_precision_are_values(values):
-    SWITCH["compute"] = values
-    observation, _ = wrapped().reset(seed=0)
-    np.testing.assert_allclose(observation[1:], values)
-
-
 @pytest.mark.parametrize(
     ("values", "expected", "message"),
     [

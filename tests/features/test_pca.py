@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import copy
-import json
-import pickle
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.envs.registration import EnvSpec
 from known_ropes import MODELS, WORKSPACE, N, fit, ropes, seen
 from rope_env import run, wrapped
 
 from shape_obs import schema_hash
-from shape_obs.features import FeatureContext, PrincipalComponents, read_features
+from shape_obs.features import FeatureContext, PrincipalComponents
 from shape_obs.geometry.topology import Chain
 
 
@@ -72,17 +68,6 @@ class TestFeature:
         assert schema_hash({"features": [feature]}) == before, "it holds what it has read"
         assert [hashed(file), hashed(file)] == 2 * [hashed(file)]
 
-    def test_it_travels_as_json_and_as_a_copy(self, file, view, overhead):
-        feature = PrincipalComponents(Path(file))  # type: ignore[arg-type]
-        shape = seen(ropes(1)[0], overhead)
-        for other in (
-            read_features(json.loads(json.dumps([feature.to_dict()])))[0],
-            pickle.loads(pickle.dumps(feature)),
-            copy.deepcopy(feature),
-        ):
-            assert other == feature
-            np.testing.assert_array_equal(other.compute(shape, view), feature.compute(shape, view))
-
     @pytest.mark.filterwarnings("error::UserWarning")
     @pytest.mark.parametrize("aligned", [False, True])
     def test_in_the_wrapper(self, tmp_path, aligned):
@@ -96,15 +81,3 @@ class TestFeature:
         lost = wrapped(env=copy.deepcopy(env.unwrapped), features=[PrincipalComponents(str(tmp_path / "a.npz"))])
         lost.unwrapped.hide = [0]  # type: ignore[attr-defined]
         assert np.isfinite(lost.reset(seed=0)[0]).all()
-
-    def test_an_env_is_rebuilt_from_its_spec(self, tmp_path):
-        fit(ropes(50)).save(tmp_path / "a.npz")
-        gym.register("PcaRope-v0", "rope_env:RopeEnv")
-        try:
-            env = wrapped(gym.make("PcaRope-v0"), features=[PrincipalComponents(str(tmp_path / "a.npz"))])
-            assert env.spec is not None
-            again = gym.make(EnvSpec.from_json(env.spec.to_json()))
-            assert again.observation_space == env.observation_space
-            np.testing.assert_array_equal(again.reset(seed=3)[0], env.reset(seed=3)[0])
-        finally:
-            gym.registry.pop("PcaRope-v0")

@@ -25,14 +25,6 @@ def test_the_sign_is_that_of_the_right_hand():
     assert up._replace(above=None).sign == 0
 
 
-def test_the_sign_does_not_depend_on_the_order_of_the_strands_or_on_both_directions():
-    for crossing in SCENE:
-        (slot, other), (arc, beyond) = crossing.slots, crossing.arcs
-        above = None if crossing.above is None else 1 - crossing.above
-        swapped = Crossing((other, slot), (beyond, arc), crossing.pixel, above, -crossing.handedness)
-        assert swapped.sign == crossing.sign
-
-
 def test_the_codes_of_several_ropes():
     codes = gauss_codes(SCENE, ["a", "b", "c"])
     assert {name: format_code(code) for name, code in codes.items()} == {

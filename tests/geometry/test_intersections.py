@@ -124,14 +124,6 @@ def test_a_vertex_on_a_vertex_is_found_once():
     assert find_crossings(cross[::-1])[0].handedness == 1
 
 
-def test_a_loop_crosses_itself_once_and_a_ring_does_not():
-    loop = np.array([[0.0, 0], [10, 0], [10, 10], [5, 10], [5, -5]])
-    (found,) = find_crossings([loop])
-    np.testing.assert_allclose(found.arcs, (5 / 40, 35 / 40), atol=1e-6)
-    ring = np.array([[0.0, 0], [10, 0], [10, 10], [0, 0]])
-    assert find_crossings([ring]) == ()
-
-
 def test_bad_curves_are_refused():
     assert find_crossings([]) == ()
     with pytest.raises(ValueError, match="'b' must be finite"):

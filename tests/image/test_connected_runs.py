@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shape_obs.image.connected_runs import find_components, gather_cells, near_mask
+from shape_obs.image.connected_runs import find_components, gather_cells
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -46,23 +46,6 @@ def test_components_are_those_of_opencv(seed, share, grain, floors):
         assert box == (u - 3, v + 7, width, height)
 
 
-def test_corners_touch_and_a_gap_of_one_pixel_does_not():
-    def count(rows):
-        return len(find_components(np.array(rows, np.uint8), 0, 0, 1, 1, 0.0)[2])
-
-    assert count(np.eye(5)) == 1
-    assert count([[1, 0, 1, 1]]) == 2
-    assert count(np.zeros((3, 3))) == 0
-    assert count([[1, 1, 0, 0, 0], [0, 0, 0, 1, 1]]) == 2  # a column apart
-
-
-def test_rows_in_the_hole_of_a_ring_are_a_component_of_their_own():
-    mask = np.zeros((60, 60), np.uint8)
-    cv2.circle(mask, (30, 30), 25, 255, 5)
-    mask[28:33, 28:33] = 255
-    assert find_components(mask, 0, 0, 1, 1, 0.0)[2].tolist() == [int((mask > 0).sum()) - 25, 25]
-
-
 @given(SEEDS, st.floats(0, 1), st.integers(1, 9))
 def test_cells_hold_their_pixels_count_and_centroid(seed, share, edge):
     mask = drawn(seed, share, 1)
@@ -74,16 +57,3 @@ def test_cells_hold_their_pixels_count_and_centroid(seed, share, edge):
     points, weight = gather_cells(runs_of(mask) + (0, 3, 3), edge)  # no image has columns below 0
     np.testing.assert_array_equal(weight, count)
     np.testing.assert_allclose(points, centroid / count[:, None])
-
-
-@given(SEEDS, st.floats(0, 1), st.integers(0, 3))
-def test_near_is_dilated(seed, share, reach):
-    mask = drawn(seed, share / 10, 1)
-    points = np.random.default_rng(seed).uniform(-8, 80, (40, 2))
-    points[:3] = [[np.nan], [np.inf], [-1e300]]
-    wide = np.zeros((400, 400), np.uint8)
-    wide[107 : 107 + mask.shape[0], 97 : 97 + mask.shape[1]] = mask > 0
-    wide = cv2.dilate(wide, np.ones((2 * reach + 1,) * 2, np.uint8))
-    pixel = np.rint(points[3:]).astype(int) + 100
-    np.testing.assert_array_equal(near_mask(mask, -3, 7, points[3:], reach), wide[pixel[:, 1], pixel[:, 0]] > 0)
-    assert not near_mask(mask, -3, 7, points[:3], reach).any()

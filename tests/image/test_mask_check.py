@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shape_obs import Centerline, ColourRule, Contour, Segmentation, ShapeDetector
+from shape_obs import ColourRule, Contour, Segmentation, ShapeDetector
 from shape_obs.image.mask_check import checked_mask
 
 WRONG: dict[str, tuple[Any, type[Exception], str]] = {
@@ -120,13 +120,6 @@ class TestWrong:
             detector.detect(wave_image)
         SWITCH["make"] = RIGHT["bool"]
         assert detector.detect(wave_image).ok
-
-    def test_with_slots(self, wave_image, rule):
-        make, error, message = WRONG["labels"]
-        spec, name = RULES[rule]
-        SWITCH["make"] = make
-        with pytest.raises(error, match=rf"^{name}: .*{message}"):
-            ShapeDetector([Centerline(count=2)], spec).detect(wave_image)
 
 
 @pytest.mark.parametrize("wrong", [name for name in WRONG if name != "transposed"])  # the table is made in squares

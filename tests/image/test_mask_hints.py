@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rope_env import RopeEnv
 
 from shape_obs import (
     Centerline,
@@ -12,7 +11,6 @@ from shape_obs import (
     HSVRange,
     Rectangle,
     ShapeDetector,
-    ShapeObservation,
 )
 from shape_obs.image import mask_hints
 
@@ -109,13 +107,3 @@ def test_it_is_looked_at_once_in_thirty_frames_and_not_after_the_shape_was_found
     assert len(looks) == 2
     detector.reset()
     assert SWAPPED in detector.detect(swapped).shapes[0].reason
-
-
-def test_a_mask_that_is_given_has_no_hints(wave):
-    assert ShapeDetector().detect_mask(0 * wave.mask).shapes[0].reason == "the mask is empty"
-
-
-def test_it_reaches_the_wrapper():
-    env = ShapeObservation(RopeEnv(), segmentation=HSVRange((20, 120, 60), (30, 255, 255)), on_missing="raise")
-    with pytest.raises(Exception, match="the mask is empty: 0 of 19200 pixels match segmentation 'hsv'; `shape-obs"):
-        env.reset(seed=0)

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from shape_obs import DepthRange, Frame, GrayRange, HSVRange, Polygon, Rectangle, ShapeDetector, Whole
-from shape_obs.image.find_region import find_region
 
 
 def mask_of(rule, rgb=None, depth=None):
@@ -20,17 +19,6 @@ def mask_of(rule, rgb=None, depth=None):
     assert mask.dtype == np.uint8
     assert set(np.unique(mask)) <= {0, 255}
     return mask > 0
-
-
-def swatches(*hsv):
-    """Return one pixel of each colour, (1, K, 3) uint8 RGB."""
-    return np.asarray(cv2.cvtColor(np.array([hsv], np.uint8), cv2.COLOR_HSV2RGB))
-
-
-def test_red_wraps_around_the_hue_circle():
-    image = swatches((170, 255, 255), (179, 255, 255), (0, 255, 255), (10, 255, 255), (30, 255, 255), (150, 255, 255))
-    assert mask_of(HSVRange((170, 90, 90), (10, 255, 255)), image).tolist() == [[True] * 4 + [False] * 2]
-    assert mask_of(HSVRange((10, 90, 90), (170, 255, 255)), image).tolist() == [[True, False, False, True, True, True]]
 
 
 @given(hnp.arrays(np.uint8, (5, 6, 3)), st.tuples(*[st.integers(0, 179)] * 2), st.integers(0, 255), st.integers(0, 255))
@@ -86,13 +74,6 @@ def test_opening_removes_specks_and_closing_fills_gaps():
     assert not both[17, 27]
     assert not both[8, 14]
     assert (mask_of(GrayRange(low=128, open=1, close=1), image) == bare).all()
-
-
-def test_the_width_of_a_ribbon_is_found_from_its_outline():
-    for width in (2, 3, 8, 15):
-        mask = np.zeros((60, 200), np.uint8)
-        mask[20 : 20 + width, 10:190] = 1
-        assert find_region(mask, Whole().window((60, 200)), 1, 0).width == pytest.approx(width, abs=0.05)
 
 
 class TestROI:

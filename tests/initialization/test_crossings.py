@@ -11,7 +11,6 @@ import pytest
 
 from shape_obs import Centerline, Shape, ShapeDetector
 from shape_obs.bench.scenes import draw_rope, resample
-from shape_obs.initialization.gaps import bridge
 from tests.benchmarks.rope_scores import is_traversed
 from tests.benchmarks.scenes.tangles import crossing_rope, cut_rope, touching_rope
 
@@ -81,14 +80,3 @@ def test_a_closed_ring_is_refused():
     shape = detected(ring)
     assert not shape.ok
     assert "ring" in shape.reason
-
-
-def test_pieces_are_joined_in_the_best_order_overall():
-    # The nearest ends of all are those of the outer pieces, which a greedy join would begin with.
-    x = np.linspace(0, 1, 50)[:, None]
-    pieces = [np.array([[a, y]]) + x * (b - a, 0.0) for a, b, y in ((0, 100, 0.0), (240, 130, 0.0), (270, 400, 0.0))]
-    joined = bridge([pieces[2], pieces[0], pieces[1]], 10.0)
-    along = joined.curve[:, 0] if joined.curve[0, 0] < joined.curve[-1, 0] else joined.curve[::-1, 0]
-    assert np.all(np.diff(along) > 0)
-    assert np.abs(joined.curve[:, 1]).max() < 1e-6
-    assert 0 < joined.bridged.mean() < 0.5

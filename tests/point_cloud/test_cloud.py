@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from shape_obs import CameraModel, Centerline, Contour, Intrinsics, ShapeDetector, ShapeLostError, Surface
+from shape_obs import CameraModel, Centerline, Contour, Intrinsics, ShapeDetector, Surface
 from shape_obs.metrics import distance, spacing_cv
 from tests.benchmarks.scenes.clouds import SheetCloud, ring_cloud, rope_cloud, sheet_cloud
 
@@ -88,13 +88,6 @@ class TestDetectCloud:
         nearest = [np.linalg.norm(rope.curve[:, None] - p, axis=2).min(axis=0)[1:-1].mean() for p in found.values()]
         assert nearest[0] > 0.6 * rope.radius
         assert nearest[1] < 0.25 * rope.radius
-
-    def test_without_an_anchor_it_begins_at_the_top_left_as_seen_along_z(self):
-        for turn in (1, -1):
-            points = straight() * (turn, 1, 1) + (5, 7, 0)
-            assert one(ShapeDetector(TIPS), points).points3d[0, 0] < 4.75
-        upright = straight()[:, [1, 0, 2]] * (1, -1, 1)
-        assert one(ShapeDetector(TIPS), upright).points3d[0, 1] < -0.25
 
     def test_order_is_kept_from_frame_to_frame_and_image_order_is_not(self):
         tracked, image = ShapeDetector(TIPS), ShapeDetector(TIPS, order="image")
@@ -194,17 +187,6 @@ class TestRefusals:
         assert not shape.valid.any()
         assert np.isnan(shape.points3d).all()
         assert re.search(reason, shape.reason), shape.reason
-
-    def test_a_lost_shape_is_held_and_raised(self):
-        detector = ShapeDetector(max_age=0.5)
-        before = one(detector, straight(), stamp=0.0)
-        held = one(detector, straight(10), stamp=0.3)
-        assert held.ok
-        assert held.age == pytest.approx(0.3)
-        np.testing.assert_array_equal(held.points3d, before.points3d)
-        assert not one(detector, straight(10), stamp=0.7).ok
-        with pytest.raises(ShapeLostError, match="the cloud has 10 points"):
-            ShapeDetector(on_missing="raise").detect_cloud(straight(10))
 
 
 @pytest.mark.parametrize(

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
-from shape_obs import Centerline, Contour, Intrinsics, ShapeDetector, Surface
+from shape_obs import Centerline, Intrinsics, ShapeDetector
 from shape_obs.geometry.polyline import resample
 from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
 from shape_obs.point_cloud.deprojection import deproject
-from tests.benchmarks.scenes.images import CAMERA, tilted_rope, tilted_sheet
+from tests.benchmarks.scenes.images import CAMERA, tilted_rope
 from tests.benchmarks.scenes.tangles import crossing_rope
 
 
@@ -79,36 +77,6 @@ class TestUnderAMask:
                 detector = ShapeDetector(Centerline(ends="tips", lift="cloud", anchor=anchor))
                 first = detector.detect_mask(wave.mask, depth, overhead).shapes[0].pixels[0]
                 np.testing.assert_allclose(first, end, atol=5)
-
-    def test_shapes_that_lift_differently_share_a_frame(self):
-        scene = tilted_sheet(np.random.default_rng(1))
-        shapes = [Surface(rows=3, cols=4, lift="cloud"), Contour(n=16), Contour(n=16, name="in space", lift="cloud")]
-        detection = ShapeDetector(shapes).detect_mask(scene.mask, scene.depth, CAMERA)
-        assert detection.ok, [shape.reason for shape in detection]
-        assert all(shape.points2d is not None for shape in detection)
-
-
-@pytest.mark.nightly
-def test_the_simulated_cable_seen_as_a_cloud():
-    gym = pytest.importorskip("gymnasium")
-    pytest.importorskip("mujoco")
-    from shape_obs.wrappers import ShapeObservation
-
-    shapes = [{"kind": "centerline", "n": 20, "anchor": "gripper0", "ends": "tips", "lift": "cloud"}]
-    env = ShapeObservation(gym.make("shape_obs_envs:ShapeObs/Cable-v0", camera="d455"), shapes)
-    env.action_space.seed(0)
-    env.reset(seed=0)
-    errors = []
-    for _ in range(12):
-        assert env.detection is not None
-        shape = env.detection.shapes[0]
-        assert shape.ok, shape.reason
-        simulator: Any = env.unwrapped
-        truth = simulator.truth(n=20, frame="camera", surface=True)
-        errors.append(np.linalg.norm(shape.points3d - truth, axis=1)[shape.valid].mean())
-        env.step(env.action_space.sample())
-    env.close()
-    assert np.mean(errors) < 0.003
 
 
 def test_depth_that_flies_between_the_object_and_the_table_is_no_part_of_the_cloud():

@@ -162,11 +162,6 @@ class TestInvalidPoints:
         hole[:, 140:200] = 0
         return wave.mask, slope, hole
 
-    def test_nan(self, frames, intrinsics):
-        mask, _, hole = frames
-        shape = one(ShapeDetector(), mask, hole, intrinsics)
-        assert np.isnan(shape.points3d[~shape.valid]).all()
-
     def test_interpolate(self, frames, intrinsics):
         mask, slope, hole = frames
         shape = one(ShapeDetector(on_invalid="interpolate"), mask, hole, intrinsics)

@@ -51,28 +51,6 @@ def test_the_page_has_all_recipes():
         compile(code, name, "exec")
 
 
-def test_onnx_runtime(folder):
-    pytest.importorskip("onnxruntime")
-    onnx = pytest.importorskip("onnx")
-    kinds = onnx.TensorProto.FLOAT
-    # One convolution of 1 x 1: blue - red - 0.2.
-    weights = onnx.helper.make_tensor("weights", kinds, [1, 3, 1, 1], [-1.0, 0.0, 1.0])
-    bias = onnx.helper.make_tensor("bias", kinds, [1], [-0.2])
-    graph = onnx.helper.make_graph(
-        [onnx.helper.make_node("Conv", ["image", "weights", "bias"], ["logits"])],
-        "rope",
-        [onnx.helper.make_tensor_value_info("image", kinds, [1, 3, 256, 256])],
-        [onnx.helper.make_tensor_value_info("logits", kinds, [1, 1, 256, 256])],
-        [weights, bias],
-    )
-    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 17)], ir_version=8)
-    onnx.checker.check_model(model)
-    onnx.save(model, folder / "rope.onnx")
-    detector = ShapeDetector([Centerline(n=20)], "onnx_masks:rope")
-    for shift in (0, 3, 6):
-        assert far_from(detector.detect(photo(shift)).shapes[0], photo(shift)) < 3
-
-
 def test_a_box_prompt_follows_the_object(folder):
     detector = ShapeDetector([Centerline(n=20)], "box_masks:rope")
     for shift in (0, 10, 20, 30):
@@ -82,27 +60,3 @@ def test_a_box_prompt_follows_the_object(folder):
     assert rope.box != rope.first
     assert not detector.detect(np.full((480, 640, 3), 200, np.uint8)).shapes[0].visible.any()
     assert rope.box == rope.first
-
-
-def test_supervision_in_and_out(folder):
-    sv = pytest.importorskip("supervision")
-    from supervision_shapes import mask_of, to_detections, to_key_points  # pyright: ignore[reportMissingImports]
-
-    image = photo()
-    masks = np.array([BLUE.matches(image) > 0, np.zeros(image.shape[:2], bool)])
-    masks[1, 20:40, 20:60] = True
-    found = sv.Detections(xyxy=sv.mask_to_xyxy(masks), mask=masks, class_id=np.array([0, 5]))
-    np.testing.assert_array_equal(mask_of(found, class_id=0), masks[0])
-    np.testing.assert_array_equal(mask_of(found), masks.any(axis=0))
-    detection = ShapeDetector([Centerline(n=20)]).detect_mask(mask_of(found, class_id=0), rgb=image)
-    shape = detection.shapes[0]
-    assert far_from(shape, image) == 0
-    back = to_detections(detection)
-    assert len(back) == 1
-    np.testing.assert_allclose(back.xyxy[0], found.xyxy[0], atol=20)
-    assert back.confidence[0] == pytest.approx(shape.quality)
-    assert len(to_detections(ShapeDetector().detect_mask(np.zeros((99, 99), bool)))) == 0
-    key_points, edges = to_key_points(shape)
-    drawn = sv.EdgeAnnotator(edges=edges).annotate(image.copy(), key_points)
-    assert (drawn != image).any()
-    assert (sv.VertexAnnotator().annotate(image.copy(), key_points) != image).any()

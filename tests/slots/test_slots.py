@@ -84,12 +84,6 @@ def test_anchors_tie_slots_to_ropes():
     np.testing.assert_allclose(detection["centerline1"].points2d[0], UP[-1], atol=5)
 
 
-def test_a_name_with_a_count_lists_its_slots():
-    detection = ShapeDetector([Centerline(count=2)]).detect_mask(drawn(UP, DOWN))
-    with pytest.raises(KeyError, match="'centerline' has a count; its slots are 'centerline0', 'centerline1'"):
-        detection["centerline"]
-
-
 def test_all_ropes_are_returned_by_a_detector_alone():
     detector = ShapeDetector([Centerline(count="all")])
     for ropes in ((UP,), (UP, LEVEL, DOWN), (UP, LEVEL, DOWN)):

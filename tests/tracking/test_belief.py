@@ -115,13 +115,6 @@ class TestSigmaOfADetector:
         assert 0 < np.count_nonzero(shape.valid) < 20
         assert (np.diff(shape.sigma[~shape.valid]) > 0).all()
 
-    def test_depth_farther_away_is_less_sure(self, wave, intrinsics):
-        near, far = (
-            ShapeDetector().detect_mask(wave.mask, np.full(wave.mask.shape, z), intrinsics).shapes[0].sigma
-            for z in (0.5, 2.0)
-        )
-        assert (far > 4 * near).all()
-
     def test_a_lost_shape_is_less_and_less_sure_up_to_the_bound(self, wave, intrinsics):
         empty, depth = np.zeros_like(wave.mask), np.full(wave.mask.shape, 0.7)
         frames: list[Any] = [((empty,), np.hypot(240, 320)), ((empty, depth, intrinsics), MAX_SIGMA)]

@@ -61,17 +61,6 @@ def test_a_clock_that_fails_keeps_no_lost_shape_alive(wave, empty, stamps, what)
         assert detection.to_dict()["warning"] == detection.warning
 
 
-def test_a_shape_that_is_found_has_no_reason_though_the_clock_fails(wave):
-    detector = ShapeDetector()
-    warnings = []
-    for stamp in (5.0, 4.0, 4.0, 1e9, 1e308, -1e308, 0.0, None):
-        detection = detector.detect_mask(wave.mask, stamp=stamp)
-        shape = detection.shapes[0]
-        assert (shape.ok, shape.age, shape.reason, shape.track_id) == (True, 0.0, "", 1)
-        warnings.append(detection.warning[10:].split(":")[0])
-    assert warnings == ["", "runs back", "stands still", "", "", "runs back", "", ""]
-
-
 def test_a_clock_that_works_again_is_believed_again(wave, empty):
     detector = ShapeDetector(max_age=0.5, dt=0.1)
     detector.detect_mask(wave.mask, stamp=1.0)
@@ -96,14 +85,6 @@ def test_raise_says_which_and_why_and_goes_on_afterwards(wave, empty):
     with pytest.raises(ShapeLostError, match=r"^shape 'rope' was not found: the mask is empty$"):
         detector.detect_mask(empty)
     assert detector.detect_mask(wave.mask).ok
-
-
-@pytest.mark.parametrize("policy", ["hold", "truncate", "nan"])
-def test_with_nothing_to_hold_there_are_no_points(empty, policy):
-    shape = ShapeDetector(on_missing=policy).detect_mask(empty).shapes[0]
-    assert not shape.ok
-    assert np.isnan(shape.points2d).all()
-    assert shape.points3d is None
 
 
 @pytest.mark.parametrize(("wait", "first"), [(0.2, 270), (2.0, 50)])

@@ -56,13 +56,6 @@ def test_a_hand_over_a_cloth_moves_no_visible_point(with_depth, place, moving):
     assert found.hidden_valid < 25
 
 
-@pytest.mark.nightly
-def test_a_hand_that_creeps_is_no_change_of_the_cloth():
-    scenes = under_hand(np.random.default_rng(2), cloth(1.0), VIEW, "corner", 0.8, level=True)
-    found = tally_visible(list(seen_points(scenes, VIEW, False)))
-    assert (found.slips, found.refused) == (0, 0), found
-
-
 @pytest.mark.parametrize("motion", ["tilted", "corner up"])
 def test_a_cloth_in_space_keeps_its_index(motion):
     scenes = in_space(np.random.default_rng(3), cloth(2.0), VIEW, motion, 30.0, 60)
@@ -119,14 +112,6 @@ def test_an_outline_of_which_a_side_is_lifted_keeps_its_index(seed, draw, speed)
     assert found.mm < 1.5
 
 
-@pytest.mark.nightly
-def test_a_slow_hand_over_a_small_outline_moves_no_visible_point():
-    rng, view = np.random.default_rng((3, 10)), View(height=120)
-    found = tally_visible(list(seen_outline(under_hand(rng, ring(rng, True), view, "side", 1.0, 4.0), view, True)))
-    assert found.slips < 1, found
-    assert found.refused == 0
-
-
 def test_a_sheet_that_is_pushed_together_in_full_view_is_shorter_and_not_hidden():
     """It becomes a sixth narrower, as a cloth that buckles; the camera sees the table where it was."""
     camera = Intrinsics(640, 480, 500.0, 500.0, 320.0, 240.0)
@@ -153,9 +138,6 @@ def test_a_hole_in_the_depth_at_a_border_bends_no_sheet(seed):
     assert np.median(away) < 0.004
 
 
-SMALL = View(height=120)
-
-
 @pytest.mark.parametrize(
     ("hollow", "seed", "speed", "moving"),
     [
@@ -177,16 +159,6 @@ def test_a_hand_that_only_the_mask_shows_moves_no_visible_point(hollow, seed, sp
     last = frames[-1]
     assert last.visible.all()
     assert last.off.max() < 0.1
-
-
-def test_nor_in_a_small_image():
-    rng = np.random.default_rng((0, 40))
-    found = tally_visible(
-        list(seen_outline(under_hand(rng, ring(rng, True), SMALL, "side", 4.0, level=True), SMALL, False))
-    )
-    assert found.slips <= 2, found
-    assert found.refused == 0
-    assert found.worst < 0.75
 
 
 @pytest.mark.parametrize("motion", ["deforming", "40 px a frame", "nearly round"])

@@ -79,14 +79,6 @@ def test_a_rope_that_turns_away_has_points_in_equal_steps_in_space():
         assert errors(shape, seen)[shape.valid].max() < 0.35
 
 
-def test_points_next_to_a_turn_behind_which_the_rope_goes_on_are_not_visible():
-    shape, seen = tracked(map(arch, [*np.linspace(1, 0, 25), 0, 0, 0]))[-1]
-    assert shape.ok
-    assert shape.visible[:8].all()
-    assert not shape.visible[8:].any()
-    assert errors(shape, seen)[shape.visible].max() < 0.2
-
-
 def test_points_that_are_seen_end_on_are_not_valid_nor_those_next_to_them():
     bent = curve([(0, 0, 0), (0.2, 0, 0), (0.25, 0.0, -0.05), (0.25, 0.0, -0.25)])
     shape, _ = tracked([bent])[0]

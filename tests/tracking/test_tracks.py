@@ -129,15 +129,6 @@ class TestTrackIds:
                 detector.detect_mask(empty, stamp=stamp)
         assert self.follow(detector, (wave.mask, 0.9)) == [(2, True)]
 
-    def test_pixels_and_a_cloud_are_two_tracks(self, wave):
-        detector = ShapeDetector()
-        at = np.linspace(0, 0.4, 3000)
-        cloud = np.stack([at, 0.002 * np.sin(900 * at), 0.5 + 0.002 * np.cos(900 * at)], axis=1)
-        assert detector.detect_mask(wave.mask).shapes[0].track_id == 1
-        shape = detector.detect_cloud(cloud).shapes[0]
-        assert (shape.ok, shape.track_id, shape.new) == (True, 2, True)
-        assert shape.length == pytest.approx(0.4, rel=0.03)
-
     def test_a_fit_that_says_so_begins_anew(self, wave):
         """A configuration reports that what it found is another object: its numbering continues nothing."""
 
@@ -212,14 +203,6 @@ def test_images_give_the_same_points_as_their_whole(everywhere):
         for shape, again in zip(detection, detector.detect(frame), strict=True):
             assert shape.ok
             np.testing.assert_allclose(shape.points2d, again.points2d, atol=0.3)
-
-
-def test_a_rope_that_jumps_is_found_in_the_same_frame():
-    detector, mask = ShapeDetector(max_speed=None), rope()
-    before = [detector.detect_mask(mask).shapes[0].points2d for _ in range(3)][-1]
-    after = detector.detect_mask(shifted(mask, 210, 190)).shapes[0]
-    assert after.ok
-    np.testing.assert_allclose(after.points2d, before + (210, 190), atol=0.5)
 
 
 def test_a_rope_that_jumps_away_from_a_speck_is_found_in_the_same_frame():
@@ -298,10 +281,3 @@ def test_two_ropes_are_found_in_the_window_around_both(looked):
     for _ in range(4):
         assert detector.detect_mask(mask).ok
     assert len(looked) == 4
-
-
-def test_an_empty_frame_and_back():
-    detector, mask = ShapeDetector(), rope()
-    before = detector.detect_mask(mask).shapes[0].points2d
-    assert detector.detect_mask(np.zeros_like(mask)).shapes[0].reason
-    np.testing.assert_allclose(detector.detect_mask(mask).shapes[0].points2d, before, atol=0.6)

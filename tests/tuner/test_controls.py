@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from shape_obs.image.segmentation import ColourRule, DepthRange, GrayRange, HSVRange
+from shape_obs.image.segmentation import ColourRule
 from shape_obs.tuner.controls import controls_of
 
 
@@ -22,21 +22,6 @@ class Reddish(ColourRule, kind="tuner_reddish"):
 
     def matches(self, rgb):
         return rgb[..., 0] > self.lead
-
-
-def test_each_threshold_of_the_own_rules_has_a_slider():
-    hsv = controls_of(HSVRange((170, 80, 60), (10, 255, 255)))
-    assert [each.path for each in hsv[:6]] == [(bound, i) for i in range(3) for bound in ("low", "high")]
-    assert [each.most for each in hsv[:6]] == [179, 179, 255, 255, 255, 255]
-    common = ["open", "close", "min_area", "min_share"]
-    for rule, names in ((GrayRange(10, 90), ["low", "high"]), (DepthRange(0.3, 0.9), ["near", "far"])):
-        assert [each.path[0] for each in controls_of(rule)] == [*names, *common]
-    assert [each.path[0] for each in hsv[6:]] == common
-
-
-def test_a_value_beyond_the_range_of_a_slider_widens_it():
-    (area,) = (each for each in controls_of(GrayRange(min_area=9000)) if each.path == ("min_area",))
-    assert area.most == 9000
 
 
 def test_a_rule_of_another_package():

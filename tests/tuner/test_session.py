@@ -50,13 +50,6 @@ def test_a_first_click_off_the_object_is_explained(frame):
     assert session.rule is None
 
 
-def test_a_click_outside_of_the_image_changes_nothing(frame):
-    session = Session()
-    assert not session.click(frame, (5000.0, 3.0))
-    assert "outside" in session.error
-    assert session.rule is None
-
-
 def test_clicks_count_while_the_scene_looks_the_same(clicked, frame, wave, blue):
     noisy = np.clip(blue + np.random.default_rng(0).normal(0, 4, blue.shape), 0, 255).astype(np.uint8)
     assert len(clicked.clicks_in(Frame(noisy))[0]) == 1
@@ -111,12 +104,6 @@ def test_shapes_of_each_kind_have_controls_within_their_range(clicked):
             if control.type == "number":
                 assert clicked.set(control.path, int(control.most) if control.whole else control.most), clicked.error
                 assert clicked.set(control.path, int(control.least) if control.whole else control.least), clicked.error
-
-
-def test_rules_can_be_changed_and_keep_their_clean_up(clicked):
-    clicked.set(("segmentation", "close"), 5)
-    assert clicked.choose_rule("gray")
-    assert (clicked.rule.kind, clicked.rule.close) == ("gray", 5)
 
 
 def test_a_dragged_area(clicked):

@@ -14,7 +14,6 @@ from shape_obs import Extrinsics, load_config
 from shape_obs.ablation import load_study
 from shape_obs.calibration.intrinsics import IntrinsicsFit
 from shape_obs.calibration.touch_points import read_touches
-from shape_obs.cli.options import read_settings
 from shape_obs.spec import SpecError
 from shape_obs.utils.documents import parse_json, parse_yaml, read_json, read_yaml
 from shape_obs.wrappers.target import Target
@@ -114,13 +113,6 @@ def test_every_reader_names_its_file(tmp_path, read, name, text):
     (tmp_path / name).write_text(text)
     with pytest.raises(SpecError, match=name):
         read(tmp_path / name)
-
-
-def test_settings_of_the_command_line():
-    assert read_settings(["camera=[96, 72]", "exposure=0.01"]) == {"camera": [96, 72], "exposure": 0.01}
-    for value in ("[", "[" * 1000, "!!int ''"):
-        with pytest.raises(ValueError, match=r"^--set exposure=.*: (not valid YAML|it is nested too deep)"):
-            read_settings([f"exposure={value}"])
 
 
 @pytest.mark.parametrize("count", [20, pytest.param(500, marks=pytest.mark.nightly)])

@@ -8,11 +8,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from shape_obs import Frame, ShapeDetector, save_config
-from shape_obs.recording import Moment, OverlayVideo
+from shape_obs import save_config
 from shape_obs.utils.files import inside, write_text, write_whole
 
 
@@ -161,18 +159,6 @@ def test_the_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
     monkeypatch.setattr(Path, "replace", lambda path, to: (done.append("renamed"), replace(path, to)))
     write_text(tmp_path / "file", "text")
     assert [Path(name).name.split(".")[:2] for name in done] == [["", "file"], ["renamed"], [tmp_path.name]]
-
-
-def test_a_video_follows_a_link_too(tmp_path):
-    (tmp_path / "v.avi").symlink_to("videos/real.avi")
-    (tmp_path / "videos").mkdir()
-    finder = ShapeDetector(["centerline"], {"kind": "gray", "low": 1, "high": 2})
-    image = np.zeros((60, 80, 3), np.uint8)
-    with OverlayVideo(tmp_path / "v.avi", 30) as video:
-        video.add(Moment(Frame(image)), finder.detect(image))
-    assert (tmp_path / "v.avi").is_symlink()
-    assert (tmp_path / "videos" / "real.avi").stat().st_size > 1000
-    assert names(tmp_path / "videos") == ["real.avi"]
 
 
 # ---- names that a document gives

@@ -78,32 +78,6 @@ def test_what_is_there_is_what_was_wanted_index_for_index(kind, env, shape, most
         np.testing.assert_array_equal(nearest, np.arange(len(nearest)))
 
 
-@pytest.mark.parametrize("ends", ["tips", "centers"])
-def test_the_desired_lattice_lies_on_the_material(ends):
-    """A 4 x 6 lattice that is resampled from 5 x 7 points lies where the sheet has such a lattice."""
-    inner = FlatGoalEnv("surface")
-    observation, _ = observing("surface", inner, ends=ends, spacing="m").reset(seed=2)
-    down, across = (np.linspace(0, 1, n) if ends == "tips" else (np.arange(n) + 0.5) / n for n in (4, 6))
-    t, s = np.meshgrid(down, across, indexing="ij")
-    np.testing.assert_allclose(
-        points(observation["desired_goal"]), inner.material(inner.goal, s, t).reshape(-1, 3), atol=0.002
-    )
-
-
-def test_the_desired_outline_lies_on_the_material_from_the_gripper_on():
-    inner = FlatGoalEnv("contour")
-    observation, _ = observing("contour", inner, spacing="m").reset(seed=2)
-    desired = points(observation["desired_goal"])
-    true = inner.material(inner.goal, np.linspace(0, 1, 4001))
-    along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(true, axis=0), axis=1))])
-    at = [int(np.argmin(np.linalg.norm(true[:-1] - point, axis=1))) for point in desired]
-    assert np.linalg.norm(true[at] - desired, axis=1).max() < 0.001
-    assert at[0] in (0, 3999)
-    np.testing.assert_allclose(along[at[1:]] / along[-1], np.arange(1, 24) / 24, atol=0.01)
-    gap = np.linalg.norm(np.roll(desired, -1, axis=0) - desired, axis=1)
-    assert gap.std() / gap.mean() < 0.01
-
-
 class TestTheTargetIsComputedOnce:
     @pytest.fixture
     def counted(self, monkeypatch) -> list[int]:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import warnings
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 from strips_env import observing_strips
 
 from shape_obs import ShapeGoal, Target, record_goal, record_goals
@@ -158,15 +156,3 @@ def test_the_envs_goals_need_as_many_slots():
         type(source)(
             inner, [*shapes, {"kind": "contour", "name": "blob"}], source.detector.config.segmentation, ["points3d"]
         )
-
-
-@pytest.mark.parametrize("goals", [True, False])
-def test_gymnasiums_and_sb3s_checkers_are_content(goals):
-    source = observing_strips(goals=goals)
-    source.reset(seed=0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        warnings.filterwarnings("ignore", message=".*is different from the unwrapped version")
-        env = ShapeGoal(source, None if goals else truth(source), shape="strip")
-        check_env(env, skip_render_check=True)
-        pytest.importorskip("stable_baselines3.common.env_checker").check_env(env, warn=True)

@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.envs.registration import EnvSpec, WrapperSpec
+from gymnasium.envs.registration import EnvSpec
 from rope_env import BLUE, RopeEnv
 
 from shape_obs import Centerline, ShapeObservation, SpecError
@@ -139,16 +139,6 @@ class TestWithoutSegmentation:
             )
         with pytest.raises(ValueError, match="ShapeObservation: shape 'rope' has no segmentation"):
             ShapeObservation(RopeEnv(), [Centerline(name="rope", count=2)])
-
-    def test_gym_make_raises_too(self, rope):
-        spec = ShapeObservation(rope(), segmentation=BLUE).spec
-        assert spec is not None
-        *others, own = spec.additional_wrappers
-        assert own.name == "ShapeObservation"
-        kwargs = {name: value for name, value in (own.kwargs or {}).items() if name != "segmentation"}
-        spec.additional_wrappers = (*others, WrapperSpec(own.name, own.entry_point, kwargs))
-        with pytest.raises(ValueError, match=self.MESSAGE):
-            gym.make(spec)
 
     def test_a_segmentation_of_the_env_or_of_each_shape_is_enough(self):
         assert ShapeObservation(Publishing()).reset()[1]["shape/ok"]

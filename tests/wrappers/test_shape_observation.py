@@ -15,17 +15,6 @@ from shape_obs.features import Points3D
 
 
 class TestLayout:
-    def test_points_in_space_are_the_default_where_there_is_depth(self):
-        env = wrapped()
-        assert isinstance(env.observation_space, spaces.Box)
-        assert env.observation_space.shape == (60,)
-        assert env.observation_space.dtype == np.float32
-        assert np.isfinite([env.observation_space.low, env.observation_space.high]).all()
-        for observation, *_ in walk(env):
-            assert env.observation_space.contains(observation)
-            true = INTRINSICS.deproject(env.unwrapped.true_points(), np.full(20, 0.5))  # type: ignore[attr-defined]
-            assert np.linalg.norm(observation.reshape(-1, 3) - true, axis=1).max() < 0.006  # 1.5 px
-
     def test_normalised_pixels_are_the_default_over_a_plain_image(self):
         env = wrapped(PixelEnv(RopeEnv()))
         observation, _ = env.reset(seed=1)

@@ -33,14 +33,6 @@ class TestInfo:
             assert 0 < info["shape/rope/sigma"] < 0.01
             assert info["shape/rope/track_id"] == 1
 
-    def test_the_detection_is_at_hand_with_its_times(self):
-        env = wrapped(features=["points2d"])
-        assert env.detection is None
-        observation, _ = env.reset(seed=0)
-        assert env.detection is not None
-        np.testing.assert_array_equal(env.detection.shapes[0].points2d.ravel(), observation)
-        assert env.detection.timings["total"] > 0
-
     def test_it_reports_holes_and_losses(self):
         infos = [step[4] for step in run(wrapped(RopeEnv(hide=[2, 3], holes=True)), steps=4)]
         assert 0.3 < infos[0]["shape/centerline/valid_fraction"] < 0.7
@@ -60,18 +52,6 @@ class TestInfo:
             for step in steps:
                 assert env.observation_space.contains(step[0])
                 assert step[0][:20].max() == np.float32(step[4]["shape/centerline/sigma"])
-
-    def test_a_frozen_stamp_ends_a_lost_shape(self):
-        class Frozen(RopeEnv):
-            def step(self, action: Any) -> Any:
-                *rest, info = super().step(action)
-                return (*rest, {**info, "stamp": 7.0})
-
-        env = wrapped(Frozen(hide=range(2, 9)), max_age=0.25)
-        infos = [step[4] for step in run(env, steps=6)]
-        assert [info["shape/ok"] for info in infos] == [True, True, True, True, False, False, False]
-        assert env.detection is not None
-        assert env.detection.warning.startswith("the stamp stands still")
 
     def test_stamps_of_the_env_win_over_its_time_step(self):
         class Stamped(RopeEnv):
