@@ -93,17 +93,9 @@ class TestAnchors:
     @pytest.mark.parametrize(
         ("anchor", "anchors", "message"),
         [
-            (
-                "griper",
-                {"gripper": (1, 2), "hand": (3, 4)},
-                "anchor 'griper' was not given; did you mean 'gripper'. Known: gripper, hand",
-            ),
+            ("griper", {"gripper": (1, 2), "hand": (3, 4)}, "anchor 'griper' was not given; did you mean 'gripper'"),
             ("gripper", None, "anchor 'gripper' was not given; there are none."),
-            (
-                "gripper",
-                {"gripper": (1, 2, 3, 4)},
-                r"anchor must be a finite \(u, v\) or \(x, y, z\), got \(1, 2, 3, 4\)",
-            ),
+            ("gripper", {"gripper": (1, 2, 3, 4)}, r"anchor must be a finite \(u, v\) or \(x, y, z\), got \(1, 2, 3"),
             ("gripper", {"gripper": (1, np.nan)}, r"anchor must be a finite \(u, v\) or \(x, y, z\), got \(1, nan\)"),
             ((1, 2, 3), None, r"anchor \(1.0, 2.0, 3.0\) in the base frame needs the camera's place"),
         ],

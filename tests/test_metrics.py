@@ -51,9 +51,7 @@ class TestAgainstScikitLearn:
 @pytest.mark.parametrize("score", [silhouette, calinski_harabasz])
 class TestRefusals:
     def test_one_cluster_has_no_score(self, score):
-        with pytest.raises(
-            ValueError, match=r"expected 2 clusters or more, and fewer than points; got 1 of 5 points\."
-        ):
+        with pytest.raises(ValueError, match=r"expected 2 clusters or more, and fewer than points; got 1 of 5"):
             score(np.zeros((5, 2)), np.zeros(5))
 
     def test_clusters_of_one_have_no_score(self, score):

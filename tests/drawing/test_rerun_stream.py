@@ -62,11 +62,7 @@ def test_after_ctrl_c_the_file_holds_what_was_logged(tmp_path):
 @pytest.mark.parametrize(
     ("target", "error", "message"),
     [
-        (
-            "log.txt",
-            ValueError,
-            "expected FILE.rrd or an address such as .*, got 'log.txt'",
-        ),
+        ("log.txt", ValueError, "expected FILE.rrd or an address such as .*, got 'log.txt'"),
         ("no.rrd/log.rrd", OSError, "cannot make the output folder"),
     ],
 )

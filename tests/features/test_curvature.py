@@ -78,9 +78,7 @@ class TestPromises:
             make().bounds(Grid(4, 8), VIEW)
 
     def test_what_does_not_exist_raises_an_error(self):
-        with pytest.raises(
-            ValueError, match=r"'region_moments' is for the region inside .* got Chain.*'contour_moments'"
-        ):
+        with pytest.raises(ValueError, match=r"'region_moments' is for the region inside .* got"):
             RegionMoments().bounds(Chain(20), VIEW)
         with pytest.raises(ValueError, match="'curvature' needs at least three points, got Chain"):
             Curvature().bounds(Chain(2), VIEW)

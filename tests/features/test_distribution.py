@@ -93,9 +93,7 @@ class TestFile:
         draw = np.random.default_rng(0)
         for at in (0, 10, 500, len(content) // 2, len(content) - 1, *draw.integers(0, len(content), 10)):
             Path(file).write_bytes(content[:at])
-            with pytest.raises(
-                ValueError, match=r"rope\.npz: not a file of principal components, or a damaged one: .*fit"
-            ):
+            with pytest.raises(ValueError, match=r"rope\.npz: not a file of principal components, or a damaged one"):
                 PrincipalComponents(file)
 
     def test_another_file_raises_an_error(self, tmp_path):
@@ -105,9 +103,7 @@ class TestFile:
         for name in ("a.npz", "b.npz", "c.npz"):
             with pytest.raises(ValueError, match=f"{name}: not a file of principal components"):
                 PointDistribution.load(tmp_path / name)
-        with pytest.raises(
-            FileNotFoundError, match=r"d\.npz: no such file; `shape-obs fit-features -o .*d\.npz` makes one"
-        ):
+        with pytest.raises(FileNotFoundError, match=r"d\.npz: no such file; `shape-obs fit-features -o .*d\.npz`"):
             PrincipalComponents(str(tmp_path / "d.npz"))
         with pytest.raises(ValueError, match="expected a file, got a folder"):
             PrincipalComponents(str(tmp_path))

@@ -117,17 +117,9 @@ def test_errors_are_in_metres_or_in_pixels(view):
 @pytest.mark.parametrize(
     ("feature", "change", "message"),
     [
-        (
-            Points3D(),
-            {"camera": None},
-            "feature 'points3d' needs a camera model: let the env publish `camera_model`, or pass",
-        ),
+        (Points3D(), {"camera": None}, "feature 'points3d' needs a camera model: let the env publish `camera_model`"),
         (Points3D(frame="base"), {"pose": None}, "feature 'points3d' in frame 'base' needs transform_camera_to_base"),
-        (
-            Points3D(frame="anchor"),
-            {"anchor": None},
-            "relative to the anchor needs a shape anchored to a base-frame point",
-        ),
+        (Points3D(frame="anchor"), {"anchor": None}, "relative to the anchor needs a shape anchored to a base-frame"),
     ],
 )
 def test_what_is_needed_is_named_in_the_error(feature, change, message, view):

@@ -176,12 +176,7 @@ class TestSheet:
         [
             (((60, 40), (240, 40), (240, 200), (60, 200)), 0, 0, "of the lattice lies off the mask (at most 10%)"),
             (((80, 40), (110, 190), (110, 200), (80, 50)), 0, 0, "a corner of the lattice has 1"),
-            (
-                ((80, 40), (240, 40), (240, 200), (80, 200)),
-                0,
-                61,
-                "the outline turns by 61 degrees between two corners",
-            ),
+            (((80, 40), (240, 40), (240, 200), (80, 200)), 0, 61, "the outline turns by 61 degrees between two"),
             (((80, 40), (240, 40), (240, 200), (80, 200)), 55, 0, "a side is 2"),
             (((90, 50), (230, 50), (165, 190), (155, 190)), 0, 0, "the areas of the lattice's cells vary by"),
         ],

@@ -114,11 +114,7 @@ class TestTheTargetIsComputedOnce:
 @pytest.mark.parametrize(
     ("kind", "shape", "message"),
     [
-        (
-            "contour",
-            {"kind": "centerline"},
-            r"goals of the layout 'contour': the first of shapes must be a 'contour', got 'centerline'",
-        ),
+        ("contour", {"kind": "centerline"}, r"goals of the layout 'contour': the first of shapes must be a"),
         ("surface", {"kind": "contour"}, r"the first of shapes must be a 'surface', got 'contour'"),
     ],
 )

@@ -102,22 +102,15 @@ def test_no_truth_reaches_a_policy(episode):
         for key in ("observation", "achieved_goal", "desired_goal"):
             np.testing.assert_array_equal(a[0][key], b[0][key])
         assert a[1] == b[1]
-    with pytest.raises(
-        ValueError,
-        match="keep: 'achieved_goal' comes from the simulator's state; this wrapper computes it from the camera",
-    ):
+    with pytest.raises(ValueError, match="keep: 'achieved_goal' comes from the simulator's state; this wrapper"):
         ShapeObservation(bare(), keep=["achieved_goal"])
 
 
 def test_goals_need_points_in_space_and_the_cameras_place():
-    with pytest.raises(
-        ValueError, match=r"goals, whose distance is in metres: add 'points3d' to features, got \['points2d'\]"
-    ):
+    with pytest.raises(ValueError, match=r"goals, whose distance is in metres: add 'points3d' to features, got"):
         ShapeObservation(bare(), features=["points2d"])
     intrinsics = bare().get_wrapper_attr("camera_model").intrinsics
-    with pytest.raises(
-        ValueError, match=r"goals in the base frame: its camera_model .* needs transform_camera_to_base"
-    ):
+    with pytest.raises(ValueError, match=r"goals in the base frame: its camera_model .* needs"):
         ShapeObservation(bare(), features=[Points3D()], camera=intrinsics)
 
 

@@ -119,14 +119,8 @@ def test_recorded_goals_are_the_slots_of_the_frame():
     ("arguments", "message"),
     [
         ({"goal": {"strip0": [[0, 0, 0.0]] * 3, "strip1": [[0, 0, 0.0]] * 3, "strip7": 1}}, "no shape named 'strip7'"),
-        (
-            {"goal": {"strip0": [[0, 0, 0.0]] * 3}, "shape": "strip"},
-            r"a target for each of the shapes \['strip0', 'strip1'\], got \['strip0'\]",
-        ),
-        (
-            {"goal": np.zeros((3, 5, 3)), "shape": "strip"},
-            r"expected goals of 2 shapes, a mapping \{'strip0': points, ...\} of .* or points \(2, K, 3\).*got 3",
-        ),
+        ({"goal": {"strip0": [[0, 0, 0.0]] * 3}, "shape": "strip"}, r"a target for each of the shapes \['strip0'"),
+        ({"goal": np.zeros((3, 5, 3)), "shape": "strip"}, r"expected goals of 2 shapes, a mapping \{'strip0'"),
         ({"goal": Target(3 * ((0, 0, 0.0),)), "shape": "strip"}, r"expected goals of 2 shapes, .*, got 1"),
         ({"shape": []}, r"expected names of shapes, each once, got \[\]; there are \['strip0', 'strip1'\]"),
         ({"shape": ["strip", "strip0"]}, r"expected names of shapes, each once, got \['strip', 'strip0'\]"),
@@ -139,9 +133,7 @@ def test_arguments_that_do_not_fit_are_refused(arguments, message):
 
 
 def test_the_envs_goals_need_as_many_slots():
-    with pytest.raises(
-        ValueError, match=r"the env's goals are those of shape 'strip0': pass a goal= for shape 'strip1"
-    ):
+    with pytest.raises(ValueError, match=r"the env's goals are those of shape 'strip0': pass a goal= for shape"):
         ShapeGoal(observing_strips(counted=False), shape="strip1")
     source = observing_strips()
     shapes = [{"kind": "centerline", "name": "rope", "n": 12, "ends": "tips"}]

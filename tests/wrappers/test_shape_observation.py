@@ -54,9 +54,7 @@ class TestLayout:
             np.testing.assert_array_equal(a[0], b[0])
         with pytest.raises(ValueError, match=r"rgb_key 'rgb' is not in the observation. Known: colour, shape, z"):
             wrapped(Renamed(RopeEnv()))
-        with pytest.raises(
-            ValueError, match=r"keep: 'shape' is the key that this wrapper uses for the shape; rename the env's key"
-        ):
+        with pytest.raises(ValueError, match=r"keep: 'shape' is the key that this wrapper uses for the shape; rename"):
             wrapped(Renamed(RopeEnv()), rgb_key="colour", keep=["shape"])
 
 
@@ -71,10 +69,7 @@ class TestArguments:
             ({"on_mising": "hold"}, "ShapeObservation: unknown argument 'on_mising'; did you mean 'on_missing'"),
             ({"features": ["point3d"]}, "feature: unknown kind 'point3d'; did you mean 'points3d'"),
             ({"shapes": ["centreline"]}, "configuration: unknown kind 'centreline'; did you mean 'centerline'"),
-            (
-                {"on_missing": "nan"},
-                "on_missing='nan' would put NaN into observations; choose another policy, or use ShapeDetector",
-            ),
+            ({"on_missing": "nan"}, "on_missing='nan' would put NaN into observations; choose another policy, or use"),
             ({"shapes": [{"kind": "centerline", "count": "all"}]}, "count='all' has no fixed number of slots"),
             ({"on_invalid": "nan"}, "on_invalid='nan' would put NaN into observations"),
             ({"camera": {"intrinsics": INTRINSICS.to_dict(), "transform_camera_to_base": [[1, 2], [3, 4]]}}, "rigid"),
@@ -88,15 +83,11 @@ class TestArguments:
     def test_over_an_image_there_is_nothing_to_keep_and_no_depth(self):
         with pytest.raises(ValueError, match=r"keep=\['hand'\] needs a Dict observation, got Box"):
             wrapped(PixelEnv(RopeEnv()), keep=["hand"])
-        with pytest.raises(
-            ValueError, match=r"no 'depth', but the config needs it: feature 'points3d'.*pass depth_key="
-        ):
+        with pytest.raises(ValueError, match=r"no 'depth', but the config needs it: feature 'points3d'.*pass"):
             wrapped(PixelEnv(RopeEnv()), features=["points3d"])
 
     def test_state_observations_are_refused_with_a_hint(self):
-        with pytest.raises(
-            ValueError, match=r"must be an RGB image, .* e.g. with gymnasium.wrappers.AddRenderObservation"
-        ):
+        with pytest.raises(ValueError, match=r"must be an RGB image, .* e.g. with"):
             ShapeObservation(gym.make("CartPole-v1"))
 
     def test_a_missing_key_of_an_observation_raises_an_error(self):
@@ -104,9 +95,7 @@ class TestArguments:
         env = wrapped(inner)
         whole = inner._observe
         inner._observe = lambda: {key: value for key, value in whole().items() if key != "depth"}  # type: ignore[method-assign]
-        with pytest.raises(
-            KeyError, match=r"the observation has no 'depth', but its space does; keys: \['deep', 'hand'"
-        ):
+        with pytest.raises(KeyError, match=r"the observation has no 'depth', but its space does; keys: \['deep'"):
             env.reset(seed=0)
 
     def test_what_the_env_publishes_stands_in_for_any_argument(self):

@@ -116,9 +116,7 @@ def test_a_goal_that_does_not_fit_is_refused():
             Target.read(goal).shape_for(spec, seen)
     assert view.camera is not None
     nowhere = FeatureContext(160, 120, type(view.camera)(view.camera.intrinsics))
-    with pytest.raises(
-        ValueError, match=r"'base' needs the pose of the camera: give camera=CameraModel\(intrinsics, t"
-    ):
+    with pytest.raises(ValueError, match=r"'base' needs the pose of the camera: give camera=CameraModel\(intrinsics"):
         Target.read(LINE).shape_for(spec, nowhere)
     with pytest.raises(ValueError, match=r"equal gaps in metres: give its goal in metres too, not in pixels"):
         Target.read({"points": 99 * LINE[:, :2], "frame": "pixels"}).shape_for(Centerline(spacing="m"), view)
@@ -129,10 +127,7 @@ def test_a_record_of_another_configuration_is_refused():
     env.reset(seed=0)
     target = record_goal(env)
     other = observing({"kind": "centerline", "n": 15}, ends="tips")
-    with pytest.raises(
-        ValueError,
-        match=r"recorded with {'n': 12, 'ends': 'centers'}, but shape 'centerline' has {'n': 15, 'ends': 'tips'}. Rec",
-    ):
+    with pytest.raises(ValueError, match=r"recorded with {'n': 12, 'ends': 'centers'}, but shape 'centerline' has"):
         target.shape_for(other.detector.shapes[0], view_of(env))
     named = observing({"kind": "centerline", "n": 12, "name": "rope", "order": "image"})
     target.shape_for(named.detector.shapes[0], view_of(env))
@@ -165,9 +160,7 @@ def test_only_what_was_seen_is_recorded():
     with pytest.raises(ValueError, match="shape 'contour' was not found and cannot be a goal: the mask is empty"):
         record_goal(look("thing"))
     half = look("depth")
-    with pytest.raises(
-        ValueError, match=r"shape 'contour': \d+ of 32 points were hidden or had no depth.*unmeasured=T"
-    ):
+    with pytest.raises(ValueError, match=r"shape 'contour': \d+ of 32 points were hidden or had no"):
         record_goal(half)
     assert len(record_goal(half, unmeasured=True).points) == 32
     with pytest.raises(ValueError, match=r"no shape named 'contuor'; did you mean 'contour'\?"):
