@@ -9,14 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
 from shape_obs.geometry.topology import Chain, Grid, Ring
-from shape_obs.metrics import (
-    calinski_harabasz,
-    coverage,
-    distance,
-    in_order,
-    silhouette,
-    spacing_cv,
-)
+from shape_obs.metrics import calinski_harabasz, coverage, distance, in_order, silhouette, spacing_cv
 
 
 def mask_pixels(mask: np.ndarray) -> np.ndarray:

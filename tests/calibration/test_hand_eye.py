@@ -13,13 +13,7 @@ import pytest
 from drawn_frames import Frames, run
 
 from shape_obs import Extrinsics, SpecError
-from shape_obs.calibration import (
-    Touch,
-    fit_base,
-    marker_points,
-    read_touches,
-    write_touches,
-)
+from shape_obs.calibration import Touch, fit_base, marker_points, read_touches, write_touches
 from shape_obs.markers import find_markers
 from shape_obs.recording import record
 from tests.benchmarks.scenes.tabletop import CAMERA, LAYOUT, MarkerScene, marker_scene

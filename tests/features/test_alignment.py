@@ -9,12 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import Feature
-from shape_obs.features import (
-    Curvature,
-    Length,
-    Orientation,
-    TurningAngles,
-)
+from shape_obs.features import Curvature, Length, Orientation, TurningAngles
 from shape_obs.geometry.topology import Chain, Ring, Topology
 
 

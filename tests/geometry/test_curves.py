@@ -10,13 +10,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import gaussian_filter1d
 
 from shape_obs.geometry.outline import clockwise, material_outline
-from shape_obs.geometry.polyline import (
-    arc_length,
-    catmull_rom,
-    interpolate,
-    nearest_on,
-    resample,
-)
+from shape_obs.geometry.polyline import arc_length, catmull_rom, interpolate, nearest_on, resample
 from shape_obs.geometry.rotation import best_rotation
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -6,9 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shape_obs.geometry.lattice import (
-    uneven_places,
-)
+from shape_obs.geometry.lattice import uneven_places
 from shape_obs.geometry.topology import Grid
 
 

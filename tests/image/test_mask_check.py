@@ -87,39 +87,33 @@ RULES = {
 }
 
 
-@pytest.fixture
-def wave_image(blue):
-    return blue
-
-
 @pytest.fixture(autouse=True)
 def _right():
-    SWITCH["make"] = RIGHT["bool"]
-    yield
     SWITCH["make"] = RIGHT["bool"]
 
 
 @pytest.mark.parametrize("rule", RULES)
-class TestWrong:
-    @pytest.mark.parametrize("wrong", WRONG)
-    def test_in_a_cold_frame(self, wave_image, rule, wrong):
-        make, error, message = WRONG[wrong]
-        spec, name = RULES[rule]
-        SWITCH["make"] = make
-        with pytest.raises(error, match=rf"^{name}: .*{message}"):
-            ShapeDetector(segmentation=spec).detect(wave_image)
+@pytest.mark.parametrize("wrong", WRONG)
+def test_a_wrong_mask_is_an_error_that_names_the_rule(blue, rule, wrong):
+    make, error, message = WRONG[wrong]
+    spec, name = RULES[rule]
+    SWITCH["make"] = make
+    with pytest.raises(error, match=rf"^{name}: .*{message}"):
+        ShapeDetector(segmentation=spec).detect(blue)
 
-    def test_in_the_search_window_of_a_warm_frame(self, wave_image, rule):
-        make, error, message = WRONG["labels"]
-        spec, name = RULES[rule]
-        detector = ShapeDetector(segmentation=spec)
-        for _ in range(3):
-            assert detector.detect(wave_image).ok
-        SWITCH["make"] = make
-        with pytest.raises(error, match=rf"^{name}: .*{message}"):
-            detector.detect(wave_image)
-        SWITCH["make"] = RIGHT["bool"]
-        assert detector.detect(wave_image).ok
+
+@pytest.mark.parametrize("rule", RULES)
+def test_a_wrong_mask_in_the_search_window_of_a_warm_frame(blue, rule):
+    make, error, message = WRONG["labels"]
+    spec, name = RULES[rule]
+    detector = ShapeDetector(segmentation=spec)
+    for _ in range(3):
+        assert detector.detect(blue).ok
+    SWITCH["make"] = make
+    with pytest.raises(error, match=rf"^{name}: .*{message}"):
+        detector.detect(blue)
+    SWITCH["make"] = RIGHT["bool"]
+    assert detector.detect(blue).ok
 
 
 @pytest.mark.parametrize("wrong", [name for name in WRONG if name != "transposed"])  # the table is made in squares
@@ -139,22 +133,21 @@ def test_a_wrong_mask_that_is_given(wave, wrong):
 
 @pytest.mark.parametrize("right", RIGHT)
 @pytest.mark.parametrize("rule", RULES)
-def test_every_right_mask_gives_the_same_points(wave, wave_image, rule, right):
+def test_every_right_mask_gives_the_same_points(wave, blue, rule, right):
     expected = ShapeDetector().detect_mask(wave.mask > 0).shapes[0]
     SWITCH["make"] = RIGHT[right]
     detector = ShapeDetector(segmentation=RULES[rule][0])
-    np.testing.assert_array_equal(detector.detect(wave_image).shapes[0].pixels, expected.pixels)
-    np.testing.assert_array_equal(
-        ShapeDetector().detect_mask(RIGHT[right](wave.mask > 0)).shapes[0].pixels, expected.pixels
-    )
+    given = ShapeDetector().detect_mask(RIGHT[right](wave.mask > 0)).shapes[0]
+    for shape in (given, detector.detect(blue).shapes[0]):
+        np.testing.assert_array_equal(shape.pixels, expected.pixels)
 
 
-def test_the_images_of_a_rule_are_not_changed_by_its_clean_up(wave, wave_image):
+def test_the_images_of_a_rule_are_not_changed_by_its_clean_up(wave, blue):
     """A rule may return the same array in each frame; opening and closing work on a copy of a function's mask."""
     kept = wave.mask.astype(bool)
     before = kept.copy()
     detector = ShapeDetector([Contour()], {"kind": "callable", "function": lambda rgb, depth: kept, "open": 5})
-    detector.detect(wave_image)
+    detector.detect(blue)
     np.testing.assert_array_equal(kept, before)
 
 

@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shape_obs import (
-    Centerline,
-    DepthRange,
-    HSVRange,
-    Rectangle,
-    ShapeDetector,
-)
+from shape_obs import Centerline, DepthRange, HSVRange, Rectangle, ShapeDetector
 from shape_obs.image import mask_hints
 
 BLUE = HSVRange((100, 100, 60), (125, 255, 255))

@@ -92,12 +92,9 @@ def test_a_short_loss_keeps_the_index_and_a_long_one_starts_again(wave, empty, w
     """The hand has moved to the left end: only a new start uses it as the anchor."""
     detector = ShapeDetector(Centerline(ends="tips", anchor="hand"), max_age=0.5)
     right, left = {"hand": (319, 110)}, {"hand": (0, 140)}
-    assert detector.detect_mask(wave.mask, stamp=0.0, anchors=right).shapes[0].points2d[0, 0] == pytest.approx(
-        270, abs=2
-    )
-    assert detector.detect_mask(wave.mask, stamp=0.1, anchors=left).shapes[0].points2d[0, 0] == pytest.approx(
-        270, abs=2
-    )
+    for stamp, anchors in ((0.0, right), (0.1, left)):
+        seen = detector.detect_mask(wave.mask, stamp=stamp, anchors=anchors).shapes[0]
+        assert seen.points2d[0, 0] == pytest.approx(270, abs=2)
     for stamp in (0.15, wait, wait + 0.01):
         detector.detect_mask(empty, stamp=stamp, anchors=left)
     found = detector.detect_mask(wave.mask, stamp=wait + 0.02, anchors=left).shapes[0]

@@ -106,17 +106,7 @@ class TestTrackIds:
         detector, empty = ShapeDetector(max_age=0.5, on_missing=policy), np.zeros_like(wave.mask)
         frames = [(empty, 0.0), (wave.mask, 0.1), (wave.mask, 0.2), (empty, 0.3), (wave.mask, 0.6), (empty, 1.2),
                   (empty, 1.3), (wave.mask, 1.4), (wave.mask, 1.5)]  # fmt: skip
-        found = [
-            (0, False),
-            (1, True),
-            (1, False),
-            (1, False),
-            (1, False),
-            (1, False),
-            (1, False),
-            (2, True),
-            (2, False),
-        ]
+        found = [(0, False), (1, True), *[(1, False)] * 5, (2, True), (2, False)]
         assert self.follow(detector, *frames) == found
         detector.reset()
         assert self.follow(detector, *frames) == found
@@ -258,26 +248,20 @@ def test_what_was_hidden_at_first_is_seen_before_long():
     assert detector.detect_mask(back).shapes[0].points2d[-1, 0] > 590
 
 
-def test_an_image_edge_is_no_reason_to_look_again(looked):
-    """A rope at the image's edge stays tracked in its window, since nothing lies beyond the edge."""
-    mask = np.zeros((480, 640), np.uint8)
-    mask[200:212, :200] = 255
-    detector = ShapeDetector()
-    for _ in range(4):
-        assert detector.detect_mask(mask).ok
-    assert len(looked) == 4
+AT_THE_EDGE = np.zeros((480, 640), np.uint8)
+AT_THE_EDGE[200:212, :200] = 255
 
 
-def test_a_rope_that_begins_to_move_is_found_in_its_window(looked):
-    """It rests for three frames and moves by 5 px in the next: no frame is searched twice."""
-    detector, mask = ShapeDetector(), rope()
-    for moved in (mask, mask, mask, shifted(mask, 5, 0)):
-        assert detector.detect_mask(moved).ok
-    assert len(looked) == 4
-
-
-def test_two_ropes_are_found_in_the_window_around_both(looked):
-    detector, mask = ShapeDetector(Centerline(count=2)), rope((400, 60), 180) | rope((40, 380), 180)
-    for _ in range(4):
+@pytest.mark.parametrize(
+    ("count", "masks"),
+    [
+        (None, [AT_THE_EDGE] * 4),  # nothing lies beyond the edge
+        (None, [rope(), rope(), rope(), shifted(rope(), 5, 0)]),  # it begins to move
+        (2, [rope((400, 60), 180) | rope((40, 380), 180)] * 4),  # one window around both
+    ],
+)
+def test_ropes_are_found_in_their_window_at_the_first_look(looked, count, masks):
+    detector = ShapeDetector(Centerline(count=count))
+    for mask in masks:
         assert detector.detect_mask(mask).ok
     assert len(looked) == 4

@@ -15,13 +15,7 @@ from shape_obs.geometry.lattice import FittedLattice, assess_lattice
 from shape_obs.image.find_region import find_region
 from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
-from shape_obs.tracking.validation import (
-    FitQuality,
-    sample_spread,
-    validate_outline,
-    validate_ribbon,
-    validate_sheet,
-)
+from shape_obs.tracking.validation import FitQuality, sample_spread, validate_outline, validate_ribbon, validate_sheet
 
 SIZE = (120, 400)
 

@@ -1,15 +1,21 @@
-"""ShapeGoal: goals in features, over goal-conditioned envs and any others."""
+"""ShapeGoal: goals in features over goal-conditioned envs and any others; JSON, copies and other wrappers."""
 
 from __future__ import annotations
 
+import copy
+import json
+import pickle
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from goal_envs import BASE, ON, SHAPES, observing, target_of
+from env_checks import check_both
+from goal_envs import BASE, ON, RED, SHAPES, FlatGoalEnv, observing, target_of
+from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 
-from shape_obs import ShapeGoal, record_goal
+from shape_obs import ShapeGoal, ShapeObservation, record_goal
 from shape_obs.features import Points3D
 
 GOALS = ("achieved_goal", "desired_goal")
@@ -66,13 +72,10 @@ def test_goals_may_be_in_some_features_or_in_others(features, size, unit):
 
 class TestReward:
     def test_distances_are_as_documented(self):
-        for features, d in (("points3d", 3), ("points2d", 2)):
-            env = ShapeGoal(observing(goals=True), features=[features], threshold=0.5)
-            size = 24 * d
-            a, b = np.random.default_rng(0).uniform(-1, 1, (2, 4, 5, size))
-            np.testing.assert_allclose(env.compute_reward(a, b, None), -mean_distance(a, b, d))
-            np.testing.assert_allclose(env.compute_reward(a[0, 0], b[0, 0], {}), -mean_distance(a[0, 0], b[0, 0], d))
-            assert isinstance(env.compute_reward(a[0, 0], b[0, 0], {}), float)
+        env = ShapeGoal(observing(goals=True), features=["points2d"], threshold=0.5)
+        a, b = np.random.default_rng(0).uniform(-1, 1, (2, 4, 5, 48))
+        np.testing.assert_allclose(env.compute_reward(a, b, None), -mean_distance(a, b, 2))
+        assert isinstance(env.compute_reward(a[0, 0], b[0, 0], {}), float)
         env = ShapeGoal(observing(goals=True), features=["points2d", "points3d"], threshold=0.5)
         space: Any = env.observation_space["achieved_goal"]  # type: ignore[index]
         a, b = np.random.default_rng(0).uniform(-1, 1, (2, 7, 120))
@@ -155,3 +158,103 @@ class TestGoals:
         env = ShapeGoal(observing())
         with pytest.raises(ValueError, match=r"no goal, and the env provides none. Pass goal=Target\(points\) to the"):
             env.reset(seed=0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"goal": {"points": [[0, 0, 0]] * 5, "layout": {"kind": "surface"}}}, "kind 'surface' does not fit shape"),
+        ({"goal": [[0, 0, 0.0]] * 2}, "goal of a 'contour': expected at least 3 points, got 2"),
+        ({"goal": [[0, 0, 0], [1, 0, np.inf]]}, r"expected 3 finite numbers a point in frame 'base', point 1 is"),
+        ({"goal": {"points": [[60, 40], [90, 40], [80, 70]], "frame": "pixels"}}, r"its points are pixels, but"),
+        ({"features": ["ok"]}, r"goals need features of the shape's position.*got 'ok'; pass features="),
+        ({"features": []}, r"goals need features of the shape's position"),
+        ({"features": ["points2d"]}, r"threshold: goals in these features have distances in the unit 'px'; pass thr"),
+        ({"features": ["point3d"]}, r"feature: unknown kind 'point3d'; did you mean 'points3d'\?"),
+        ({"threshold": 0}, r"threshold: expected a distance above 0, got 0"),
+        ({"threshold": True}, r"threshold: expected a distance above 0, got True"),
+        ({"reward_type": "spars"}, r"reward_type: unknown value 'spars'; did you mean 'sparse'\?"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        ShapeGoal(observing(), **arguments)
+
+
+def test_it_needs_a_shape_observation_and_its_vector():
+    with pytest.raises(ValueError, match=r"expected an env with a ShapeObservation inside, got .*FlatGoalEnv"):
+        ShapeGoal(FlatGoalEnv())
+    with pytest.raises(ValueError, match=r"the observation has \['ok', 'age'\]; pass features="):
+        ShapeGoal(observing(features=["ok", "age"]))
+    renamed = gym.wrappers.TransformObservation(
+        observing(), lambda o: {"points": o}, spaces.Dict({"points": observing().observation_space})
+    )
+    with pytest.raises(ValueError, match="ShapeGoal: expected a Box, or a Dict with a Box as 'shape', got Dict"):
+        ShapeGoal(renamed)
+
+
+def test_wrappers_may_stand_between_and_kept_keys_stay():
+    source = gym.wrappers.TimeLimit(observing(keep=["way", "depth"]), 3)
+    env = ShapeGoal(source, target_of(observing()))
+    observation, _ = env.reset(seed=0)
+    assert set(observation) == {"observation", *GOALS, "depth"}
+    assert observation["observation"].shape == (73,)
+    assert [env.step(ON)[3] for _ in range(3)] == [False, False, True]
+    own = ShapeGoal(observing(goals=True, keep=["way", "depth"]))
+    observation, _ = own.reset(seed=0)
+    assert set(observation) == {"observation", *GOALS, "depth"}
+    assert observation["observation"].shape == (73,)
+    assert own.observation_space.contains(observation)
+
+
+@pytest.mark.parametrize("goals", [True, False])
+def test_both_checkers_pass(goals):
+    source = observing(goals=goals, features=[BASE, "ok"], keep=["way"])
+    check_both(ShapeGoal(source, None if goals else target_of(source)))
+
+
+def test_it_is_rebuilt_from_json():
+    gym.register("TestGoal-v0", "goal_envs:FlatGoalEnv", kwargs={"kind": "contour", "goals": False, "tilt": 0})
+    try:
+        source = ShapeObservation(gym.make("TestGoal-v0"), [SHAPES["contour"]], RED, [BASE])
+        goal = np.array(target_of(source))
+        features = (feature for feature in [Points3D(frame="base")])
+        env = ShapeGoal(source, goal, features, reward_type="sparse", threshold=0.02)
+        assert env.spec is not None
+        text = env.spec.to_json()
+        assert json.loads(text)["additional_wrappers"][-1]["kwargs"]["goal"]["frame"] == "base"
+        again = gym.make(EnvSpec.from_json(text))
+        assert isinstance(again, ShapeGoal)
+        mine, theirs = env.reset(seed=4)[0], again.reset(seed=4)[0]
+        for _ in range(3):
+            for key in mine:
+                np.testing.assert_array_equal(mine[key], theirs[key])
+            (mine, reward, *_), (theirs, other, *_) = env.step(ON), again.step(ON)
+            assert reward == other
+    finally:
+        del gym.registry["TestGoal-v0"]
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_goes_on_like_the_original(copied):
+    env = ShapeGoal(observing(), target_of(observing()))
+    env.reset(seed=0)
+    env.step(ON)
+    twin = copied(env)
+    for _ in range(3):
+        mine, its = env.step(ON), twin.step(ON)
+        for key in mine[0]:
+            np.testing.assert_array_equal(mine[0][key], its[0][key])
+        assert mine[1:] == its[1:]
+
+
+def test_what_is_returned_is_the_callers_own():
+    env, twin = (ShapeGoal(observing(), target_of(observing())) for _ in range(2))
+    observation, _ = env.reset(seed=0)
+    twin.reset(seed=0)
+    for _ in range(3):
+        for value in observation.values():
+            value[:] = 0
+        observation, expected = env.step(ON)[0], twin.step(ON)[0]
+        for key in observation:
+            np.testing.assert_array_equal(observation[key], expected[key])

@@ -1,0 +1,205 @@
+"""Components of a mask, their outlines and their shares, against OpenCV, SciPy and brute force."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.distance import cdist
+
+from shape_obs.image.connected_runs import find_components, gather_cells
+from shape_obs.image.find_region import find_region
+from shape_obs.image.outline_tracing import SPECK, Traced, fill_holes, trace_components, trace_hole
+from shape_obs.image.roi import Window
+from shape_obs.image.sharing import Reach, part_of, share, share_pixels
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def runs_of(mask):
+    """Return ``(R, 3)`` row, first column, column past the last one, of an image that begins at (-3, 7)."""
+    found = []
+    for row, line in enumerate(mask):
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], line > 0, [0]]).astype(int)))
+        found += [(row + 7, start - 3, stop - 3) for start, stop in edges.reshape(-1, 2)]
+    return np.array(found, np.int64).reshape(-1, 3)
+
+
+def drawn(seed, share, grain):
+    rng = np.random.default_rng(seed)
+    size = rng.integers(1, 70, 2)
+    coarse = rng.uniform(size=-(-size // grain)) < share
+    mask = np.kron(coarse, np.ones((grain, grain), np.uint8))[: size[0], : size[1]]
+    return np.ascontiguousarray(mask * rng.integers(1, 256), dtype=np.uint8)
+
+
+@given(SEEDS, st.floats(0, 1), st.integers(1, 5), st.sampled_from([(1, 0.0), (4, 0.1), (30, 0.5)]))
+def test_components_are_those_of_opencv(seed, share, grain, floors):
+    mask = drawn(seed, share, grain)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    areas = stats[1:count, cv2.CC_STAT_AREA]
+    kept = areas >= max(floors[0], floors[1] * max(areas, default=0))
+    plausible, runs, found, box, _ = find_components(mask, -3, 7, 1, *floors)
+    left = mask * np.isin(labels, 1 + np.flatnonzero(kept))
+    np.testing.assert_array_equal(runs, runs_of(left))
+    np.testing.assert_array_equal(plausible, left)
+    np.testing.assert_array_equal(np.sort(found), np.sort(areas[kept]))
+    if kept.any():
+        (v, u), (bottom, right) = (f(np.argwhere(left), axis=0).tolist() for f in (np.min, np.max))
+        width, height = right - u + 1, bottom - v + 1
+        assert box == (u - 3, v + 7, width, height)
+
+
+@given(SEEDS, st.floats(0, 1), st.integers(1, 9))
+def test_cells_hold_their_pixels_count_and_centroid(seed, share, edge):
+    mask = drawn(seed, share, 1)
+    row, column = np.nonzero(mask)
+    pixels = np.stack([column, row + 7], axis=1)
+    cells, inverse = np.unique(pixels[:, ::-1] // edge, axis=0, return_inverse=True)
+    count = np.bincount(inverse.ravel(), minlength=len(cells))
+    centroid = np.stack([np.bincount(inverse.ravel(), x, len(cells)) for x in pixels.T], axis=1)
+    points, weight = gather_cells(runs_of(mask) + (0, 3, 3), edge)  # no image has columns below 0
+    np.testing.assert_array_equal(weight, count)
+    np.testing.assert_allclose(points, centroid / count[:, None])
+
+
+LEFT, TOP = 5, -3  # of a traced mask in the image
+
+
+def masks(count: int) -> Iterator[npt.NDArray[np.uint8]]:
+    rng = np.random.default_rng(0)
+    for _ in range(count):
+        height, width = rng.integers(1, 60, 2)
+        noise = cv2.GaussianBlur(rng.normal(size=(height, width)).astype(np.float32), (0, 0), rng.uniform(0.2, 3))
+        yield np.ascontiguousarray((noise > rng.uniform(-0.1, 0.1)).astype(np.uint8))
+    rings = np.zeros((80, 100), np.uint8)
+    for radius in range(4, 36, 5):
+        cv2.circle(rings, (50, 40), radius, (1,), 2)
+    yield rings
+
+
+def traced(mask):
+    mask, runs, areas, *_ = find_components(mask, LEFT, TOP, 1, 1, 0.0)
+    return runs, areas, Traced(*trace_components(mask, runs, len(areas), LEFT, TOP))
+
+
+def contours(mask):
+    """Return OpenCV's outlines and holes by their first pixel, and the first pixel of each hole's component."""
+    found, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    if not found:
+        return {}, {}, {}
+    parents = tree.reshape(-1, 4)[:, 3].tolist()
+    points = [contour.reshape(-1, 2) + (LEFT, TOP) for contour in found]
+    first = [tuple(place[0].tolist()) for place in points]
+    holes = {first[i]: points[i] for i, parent in enumerate(parents) if parent >= 0}
+    owners = {first[i]: first[parent] for i, parent in enumerate(parents) if parent >= 0}
+    return {first[i]: points[i] for i, parent in enumerate(parents) if parent < 0}, holes, owners
+
+
+def test_outlines_are_those_of_opencv():
+    for mask in masks(100):
+        _, areas, found = traced(mask)
+        outlines, _, _ = contours(mask)
+        assert len(found.stops) == len(areas) == len(outlines)
+        np.testing.assert_array_equal(found.areas, areas)
+        pieces = np.split(found.outlines, found.stops[:-1]) if len(areas) else []
+        for outline, length in zip(pieces, found.perimeters, strict=True):
+            expected = outlines[tuple(outline[0].astype(int).tolist())]
+            np.testing.assert_array_equal(outline, expected)
+            assert length == pytest.approx(cv2.arcLength(expected.astype(np.float32), closed=True), rel=1e-5)
+
+
+def test_holes_are_those_of_opencv():
+    seen = 0
+    for mask in masks(100):
+        _, _, found = traced(mask)
+        _, holes, owners = contours(mask)
+        assert len(found.holes) == len(holes)
+        starts = [0, *found.stops.tolist()]
+        for component, column, row, pixels, length, area in found.holes.tolist():
+            expected = holes[int(column), int(row)]
+            assert pixels == len(expected)
+            assert length == pytest.approx(cv2.arcLength(expected.astype(np.float32), closed=True), rel=1e-5)
+            assert area == pytest.approx(cv2.contourArea(expected.astype(np.float32)))
+            assert owners[int(column), int(row)] == tuple(found.outlines[starts[int(component)]].astype(int).tolist())
+            np.testing.assert_array_equal(trace_hole(mask, int(column), int(row), LEFT, TOP), expected)
+            seen += 1
+    assert seen > 150
+
+
+def test_small_holes_are_filled_as_opencv_fills_them():
+    for mask in masks(100):
+        runs, _, found = traced(mask)
+        expected, left, filled = mask.copy(), 0, mask.copy()
+        for hole in contours(mask)[1].values():
+            if len(hole) < SPECK:
+                cv2.drawContours(expected, [hole - (LEFT, TOP)], -1, (1,), cv2.FILLED)
+            else:
+                left += 1
+        assert fill_holes(filled, runs, found.holes, LEFT, TOP, SPECK, -1.0) == left
+        np.testing.assert_array_equal(filled, expected)
+
+
+def shared(mask, curves, radius, reach, slack, spread=0):
+    stops = np.cumsum([len(curve) for curve in curves])
+    points = np.ascontiguousarray(np.concatenate(curves), dtype=np.float64)
+    runs = find_region(mask, Window(0, 0, mask.shape[1], mask.shape[0]), 0, 0.0).runs
+    radii = np.full(len(curves), float(radius))
+    owners, contested, beyond = share_pixels(runs, points, stops, radii, reach, slack, spread)
+    image = np.zeros(mask.shape, np.uint32)
+    image[mask != 0] = owners  # the runs are in the order of the pixels
+    return image, contested, beyond
+
+
+@pytest.mark.parametrize("slack", [0.5, 2.0, -1.5])
+def test_pixels_go_to_the_nearest_ribbons(slack):
+    """Compare with brute force, but for pixels beyond tips, which have a rule of their own."""
+    radius, reach, rng = 2.5, 4.0, np.random.default_rng(3)
+    same = total = 0
+    for _ in range(30):
+        mask = np.where(rng.random((40, 60)) < 0.7, np.uint8(255), np.uint8(0))
+        ends = [rng.uniform((5, 5), (55, 35), (2, 2)) for _ in range(3)]
+        curves = [np.linspace(*each, 120) for each in ends]
+        owners, contested, beyond = shared(mask, curves, radius, reach, slack)
+        rows, columns = np.nonzero(mask)
+        pixels = np.stack([columns, rows], axis=1).astype(float)
+        away = np.stack([cdist(pixels, curve).min(axis=1) for curve in curves], axis=1)
+        excess = np.where(away <= radius + reach, np.maximum(away - radius, 0), np.inf)
+        order = np.sort(excess, axis=1)
+        nearest = excess == order[:, :1]
+        if slack >= 0:
+            own = (excess < np.inf) & (nearest | (excess <= slack))
+        else:
+            own = nearest & (order[:, :1] < np.inf) & (order[:, 1:2] - order[:, :1] >= -slack)
+        clear = np.ones(len(pixels), bool)
+        for start, end in ends:
+            for tip, other in ((start, end), (end, start)):
+                far = np.linalg.norm(pixels - tip, axis=1) > 2 * radius + reach
+                clear &= ((pixels - tip) @ (tip - other) <= 0) | far
+        found = (owners[rows, columns][:, None] >> np.arange(3)) & 1 == 1
+        same += np.count_nonzero((found == own).all(axis=1) & clear)
+        total += np.count_nonzero(clear)
+        assert abs(beyond - np.count_nonzero(order[:, 0] == np.inf)) <= 0.02 * len(pixels)
+        assert (contested > 0).sum() != 1
+    assert total > 10000
+    assert same >= 0.97 * total
+
+
+def test_a_part_is_a_region_of_its_own():
+    mask = np.zeros((60, 80), np.uint8)
+    cv2.line(mask, (10, 10), (70, 10), 255, 5)
+    cv2.line(mask, (10, 40), (70, 50), 255, 5)
+    region = find_region(mask, Window(100, 50, 80, 60), 10, 0.0)
+    curves = [np.linspace((110, v), (170, w), 60) for v, w in ((60, 60), (90, 100))]
+    owners = share(region, curves, [5.0, 5.0], Reach(1.0, 0.5))[0]
+    parts = [part_of(region, owners, [k], 10, 0.0) for k in (0, 1)]
+    assert parts[0].area + parts[1].area == region.area
+    assert parts[0].box.top < 65 < 85 < parts[1].box.top
+    both = part_of(region, owners, [0, 1], 10, 0.0)
+    assert (both.area, both.box) == (region.area, region.box)
+    assert part_of(region, owners, [5], 10, 0.0).refusal == "the mask is empty"
