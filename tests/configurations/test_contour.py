@@ -58,14 +58,9 @@ class TestHoles:
             assert away.mean() == pytest.approx(radius, abs=0.15 if hole == 0 else 0.6)
         assert np.linalg.norm(one(ring.mask).points2d - (160, 120), axis=1).mean() == pytest.approx(100, abs=0.1)
 
-    def test_one_that_is_not_there_is_reported(self, ring):
+    def test_one_that_is_not_there_or_has_a_few_pixels_is_reported(self, ring):
         assert one(ring.mask, hole=3).reason == "hole 3 was asked for, the mask has 3"
-        assert one(random_blob(np.random.default_rng(0)).mask, hole=0).reason == "hole 0 was asked for, the mask has 0"
-
-    def test_one_of_a_few_pixels_is_reported(self, ring):
-        shape = one(ring.mask, hole=2)
-        assert not shape.ok
-        assert shape.reason == "the outline is too small: 4 samples, at least 8 are needed"
+        assert one(ring.mask, hole=2).reason == "the outline is too small: 4 samples, at least 8 are needed"
 
 
 class TestPieces:
@@ -78,14 +73,6 @@ class TestPieces:
         np.testing.assert_array_equal(shape.points2d, alone.points2d)
         assert alone.quality == pytest.approx(1, abs=0.02)
         assert shape.quality == pytest.approx(np.sqrt(0.8), abs=0.03)
-
-    def test_halves_are_refused(self):
-        mask = np.zeros((240, 320), np.uint8)
-        cv2.circle(mask, (80, 120), 60, (255,), -1)
-        cv2.circle(mask, (240, 120), 58, (255,), -1)
-        shape = one(mask)
-        assert not shape.ok
-        assert shape.reason == "the mask falls into 2 pieces, and the largest is 52% of it (at least 60%)"
 
     def test_an_object_cut_by_the_images_edge_is_outlined_along_it(self):
         mask = np.zeros((240, 320), np.uint8)
@@ -118,10 +105,7 @@ class TestThinAndSmall:
     ("arguments", "message"),
     [
         ({"n": 2}, r"contour: n must lie in 3...1000, got 2."),
-        ({"n": 1001}, r"contour: n must lie in 3...1000, got 1001."),
         ({"hole": -1}, r"contour: hole must be None or >= 0, got -1."),
-        ({"n": "32"}, r"contour.n: expected int"),
-        ({"hole": 0.5}, r"contour.hole: expected"),
     ],
 )
 def test_bad_arguments_are_reported(arguments, message):

@@ -23,6 +23,7 @@ VIEW = FeatureContext(
     anchor=(0.2, 0.0, 0.0),
     anchors={"gripper1": GRIPPER, "mark": PIXEL},
 )
+NOWHERE = replace(VIEW, camera=CameraModel(OVERHEAD.intrinsics))
 # Pixels, and what lies under them one metre before the camera.
 SEEN = np.array([[100.0, 50.0], [160.0, 120.0], [220.0, 70.0]])
 
@@ -75,16 +76,8 @@ class TestAnchors:
             (Points3D(origin="anchr"), VIEW, "did you mean 'anchor'? Known: centroid, anchor, gripper1, mark"),
             (Points3D("base", origin="mark"), VIEW, "origin 'mark' is a pixel, but its points are in metres"),
             (Points2D(origin="anchor"), FeatureContext(320, 240), "relative to the anchor needs a shape anchored to"),
-            (
-                Points2D(origin="gripper1"),
-                FeatureContext(320, 240, anchors={"gripper1": GRIPPER}),
-                "'points2d' needs a camera model",
-            ),
-            (
-                Points3D(origin="gripper1"),
-                FeatureContext(320, 240, CameraModel(OVERHEAD.intrinsics), anchors={"gripper1": GRIPPER}),
-                "in frame 'base' needs transform_camera_to_base",
-            ),
+            (Points2D(origin="gripper1"), replace(VIEW, camera=None), "'points2d' needs a camera model"),
+            (Points3D(origin="gripper1"), NOWHERE, "in frame 'base' needs transform_camera_to_base"),
         ],
     )
     def test_mistakes_raise_an_error(self, feature, view, message):

@@ -1,4 +1,4 @@
-"""Features: dimension, units, frames, bounds, unknown points and clipped values."""
+"""Features: dimension, units, frames, bounds, unknown points, clipped values; crossings as a feature."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from hypothesis.extra import numpy as hnp
 from shape_obs import CameraModel, Centerline, Shape
 from shape_obs.features import (
     Age,
+    Crossings,
     FeatureContext,
     FeatureVector,
     New,
@@ -26,7 +27,8 @@ from shape_obs.features import (
     Valid,
     read_features,
 )
-from shape_obs.geometry.topology import Chain
+from shape_obs.geometry.crossings import Crossing
+from shape_obs.geometry.topology import Chain, Ring
 
 WORKSPACE = ((-0.5, -0.4, -0.1), (0.5, 0.4, 0.3))
 
@@ -181,10 +183,56 @@ class TestVector:
 
 
 def test_one_feature_stands_for_a_list_of_it():
-    assert (
-        read_features("ok") == read_features(Ok()) == read_features({"kind": "ok"}) == read_features(["ok"]) == [Ok()]
-    )
+    assert read_features("ok") == read_features({"kind": "ok"}) == read_features(["ok"]) == [Ok()]
     with pytest.raises(ValueError, match="unknown kind 'okay'; did you mean 'ok'"):
         read_features(["okay"])
     with pytest.raises(ValueError, match="expected a mapping or a Feature, got 3"):
         read_features(3)  # type: ignore[arg-type]
+
+
+FLAT = FeatureContext(320, 240)
+SCENE = (
+    Crossing(("a", "a"), (0.125, 0.5), (10.0, 20.0), 1, 1),
+    Crossing(("a", "b"), (0.25, 0.875), (30.0, 20.0), 0, -1),
+    Crossing(("b", "a"), (0.25, 0.75), (30.0, 50.0), None, 1),
+    Crossing(("c", "a"), (0.625, 0.875), (90.0, 50.0), 0, 1),
+)
+
+
+def rope(name, crossings):
+    points, known = np.zeros((5, 2), np.float32), np.ones(5, bool)
+    own = tuple(c for c in crossings if name in c.slots)
+    return Shape(name, points, None, known, known, Chain(5), crossings=own)
+
+
+def test_counts_and_passages():
+    values = Crossings(passages=6).compute(rope("a", SCENE), FLAT)
+    np.testing.assert_array_equal(values[:4], [1, 1, 1, 1])
+    np.testing.assert_array_equal(
+        values[4:].reshape(-1, 2), [[0.125, -1], [0.25, 1], [0.5, 1], [0.75, 0], [0.875, -1], [0, 0]]
+    )
+    values = Crossings(passages=1).compute(rope("b", SCENE), FLAT)
+    np.testing.assert_array_equal(values, [0, 0, 1, 1, 0.25, 0])
+
+
+def test_values_are_within_their_bounds():
+    for feature in (Crossings(), Crossings(passages=0, max_count=1)):
+        low, high = feature.bounds(Chain(5), FLAT)
+        for scene in ((), SCENE, 50 * SCENE):
+            values = feature.compute(rope("a", scene), FLAT)
+            assert values.shape == low.shape == high.shape
+            assert ((low <= values) & (values <= high)).all()
+        assert (low < high).all()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Crossings().bounds(Ring(5), FLAT), "is for a Chain"),
+        (lambda: Crossings(passages=-1), "passages must be at least 0"),
+        (lambda: Crossings(max_count=0), "max_count must be at least 1"),
+    ],
+)
+def test_crossings_that_cannot_be_counted_are_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
