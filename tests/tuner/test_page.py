@@ -126,7 +126,6 @@ def test_from_a_click_to_a_file_that_gives_the_same_points(browser, which, drawn
         expect_text(page, ".found", "20 points, all visible")
         page.wait_for_timeout(500)
         assert pink_pixels(page) > 4000
-        page.screenshot(path=tmp_path / "laptop.png")
 
         for _ in range(5):
             press(page.get_by_role("slider", name="Points N"), "ArrowRight")
@@ -146,50 +145,28 @@ def test_from_a_click_to_a_file_that_gives_the_same_points(browser, which, drawn
 
         page.get_by_role("button", name="Save").click()
         expect_text(page, ".q-dialog", "Saved")
-        page.screenshot(path=tmp_path / "saved.png")
     config = load_config(tmp_path / "shape.yaml")
     assert config["segmentation"]["strictness"] == pytest.approx(before - 0.1, abs=0.06)
     np.testing.assert_allclose(detected(capsys, photo, tmp_path / "shape.yaml", tmp_path), shown, atol=0.06)
 
 
 @pytest.mark.nightly
-def test_a_phone_shows_everything_within_its_width(browser, drawn, tmp_path):
-    with serving(drawn, "--save", tmp_path / "shape.yaml") as served:
-        page = opened(browser, served.url, PHONE)
-        click_at(page, 205, 330)
-        expect_text(page, ".found", "20 points")
-        assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
-        page.get_by_role("button", name="Not the object").click()
-        click_at(page, 20, 20)
-        expect_text(page, ".proposal + button", "Clear 2 clicks")
-        page.screenshot(path=tmp_path / "phone.png")
-
-
-@pytest.mark.nightly
-def test_depth_gives_a_view_in_space(browser, drawn, tmp_path):
+def test_a_phone_and_a_laptop_show_the_same_within_their_width(browser, drawn, tmp_path):
     cv2.imwrite(str(tmp_path / "depth.png"), np.full((480, 640), 600, np.uint16))
     with serving(drawn, "--depth", tmp_path / "depth.png", "--intrinsics", 600, 600, 319.5, 239.5) as served:
-        page = opened(browser, served.url)
-        click_at(page, 205, 330)
-        expect_text(page, ".found", "20 points")
-        page.get_by_role("tab", name="3D").click()
-        sync_api.expect(page.locator(".nicegui-scene canvas")).to_be_visible(timeout=PATIENCE)
-        page.get_by_role("tab", name="Points").click()
-        row = page.locator(".points tbody tr").first
-        sync_api.expect(row).to_contain_text("0.600", timeout=PATIENCE)
-
-
-@pytest.mark.nightly
-def test_two_pages_show_the_same(browser, drawn, tmp_path):
-    with serving(drawn, "--save", tmp_path / "shape.yaml") as served:
-        first, second = opened(browser, served.url), opened(browser, served.url)
-        click_at(first, 205, 330)
-        expect_text(second, ".found", "20 points, all visible")
-        press(second.get_by_role("slider", name="Points N"), "ArrowRight")
-        expect_text(first, ".found", "21 points")
-        sync_api.expect(first.get_by_role("slider", name="Points N")).to_have_attribute(
-            "aria-valuenow", "21", timeout=PATIENCE
-        )
+        phone, laptop = opened(browser, served.url, PHONE), opened(browser, served.url)
+        click_at(phone, 205, 330)
+        expect_text(laptop, ".found", "20 points")
+        press(laptop.get_by_role("slider", name="Points N"), "ArrowRight")
+        expect_text(phone, ".found", "21 points")
+        assert phone.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+        phone.get_by_role("button", name="Not the object").click()
+        click_at(phone, 20, 20)
+        expect_text(phone, ".proposal + button", "Clear 2 clicks")
+        laptop.get_by_role("tab", name="3D").click()
+        sync_api.expect(laptop.locator(".nicegui-scene canvas")).to_be_visible(timeout=PATIENCE)
+        laptop.get_by_role("tab", name="Points").click()
+        sync_api.expect(laptop.locator(".points tbody tr").first).to_contain_text("0.600", timeout=PATIENCE)
 
 
 @pytest.mark.nightly

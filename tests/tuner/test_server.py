@@ -73,8 +73,6 @@ def test_a_bad_config_and_a_missing_source_are_one_clear_line(capsys, photo, tmp
     for arguments, words in (
         ((photo, "--config", tmp_path / "bad.yaml"), "bad.yaml"),
         ((photo, "--config", tmp_path / "wrong.yaml"), "hsv"),
-        ((photo, "--config", tmp_path / "none.yaml"), "none.yaml"),
-        ((tmp_path / "none.png",), "no such file"),
         ((tmp_path / "none.mp4",), "no such file"),
         (("d544",), "d455"),
     ):

