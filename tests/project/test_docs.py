@@ -2,25 +2,30 @@
 
 A ``python`` block is executed, the output of a ``pycon`` block is compared with the text, a ``yaml`` block is written
 to ``shape.yaml``, and the ``shape-obs`` commands of a ``console`` block are run in a folder with a photo, a config file
-and recordings. ``<!-- not run: REASON -->`` on the line before a block leaves it out. ``test_recipes.py``
-runs the ``py`` blocks.
+and recordings. ``<!-- not run: REASON -->`` on the line before a block leaves it out. The
+recipes in ``py`` blocks are compiled, and run where they need no library.
 """
 
 from __future__ import annotations
 
+import ast
 import doctest
+import importlib
+import pkgutil
 import re
 import shlex
 import shutil
+import sys
+from collections.abc import Iterator
 from glob import glob
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 import pytest
 
-from shape_obs import Centerline, HSVRange, Segmentation, save_config
+from shape_obs import Centerline, HSVRange, Segmentation, ShapeDetector, save_config
 from shape_obs.cli import COMMANDS as CLI_COMMANDS
 from shape_obs.cli import main
 from shape_obs.cli.bench import MEASUREMENTS
@@ -78,15 +83,20 @@ COMMANDS = [
 ]
 
 
+def photo(shift: int = 0) -> np.ndarray:
+    """Return a blue rope on gray that lies so many pixels lower, as OpenCV writes it."""
+    s = np.linspace(0, 1, 400)
+    rope = np.stack([120 + 400 * s, 240 + shift + 60 * np.sin(6 * s)], axis=1)
+    image = np.full((480, 640, 3), (190, 198, 200), np.uint8)
+    cv2.polylines(image, [np.round(rope).astype(np.int32)], False, (160, 70, 20), 17, cv2.LINE_AA)
+    return image
+
+
 @pytest.fixture(scope="module")
 def samples(tmp_path_factory):
     """Make what the pages call rope.png, shape.yaml, cable and recordings."""
     folder = tmp_path_factory.mktemp("samples")
-    s = np.linspace(0, 1, 400)
-    rope = np.stack([120 + 400 * s, 240 + 60 * np.sin(6 * s)], axis=1)
-    image = np.full((480, 640, 3), (190, 198, 200), np.uint8)
-    cv2.polylines(image, [np.round(rope).astype(np.int32)], False, (160, 70, 20), 17, cv2.LINE_AA)
-    cv2.imwrite(str(folder / "rope.png"), image)
+    cv2.imwrite(str(folder / "rope.png"), photo())
     save_config(folder / "shape.yaml", {"shapes": [Centerline(n=20)], "segmentation": BLUE})
     for seed, recording in enumerate(("cable", "recordings/monday", "recordings/tuesday")):
         (folder / recording).parent.mkdir(exist_ok=True)
@@ -216,3 +226,92 @@ def test_the_table_of_commands_lists_every_page():
     listed = re.findall(r"^\| \[`([a-z -]+)`\]\(([a-z-]+)\.md\)", page, flags=re.MULTILINE)
     assert sorted(command for command, _ in listed) == sorted(COMMAND_LINES)
     assert all(command.replace(" ", "-") == name for command, name in listed)
+
+
+API = ROOT / "docs" / "reference" / "api"
+ENTRY = re.compile(r"^\.\. auto(?:class|function|exception|data|module):: (\S+)", re.MULTILINE)
+
+
+def resolve(path: str) -> Any:
+    module, _, name = path.rpartition(".")
+    try:
+        return importlib.import_module(path)
+    except ModuleNotFoundError:
+        return getattr(resolve(module), name)
+
+
+def packages() -> Iterator[Any]:
+    for root in map(importlib.import_module, ("shape_obs", "shape_obs_envs")):
+        yield root
+        for module in pkgutil.walk_packages(root.__path__, f"{root.__name__}."):
+            if module.ispkg and not module.name.startswith("shape_obs.tuner"):
+                yield importlib.import_module(module.name)
+
+
+def test_every_public_name_is_listed_once():
+    for name in ("mujoco", "torch", "pyarrow"):
+        pytest.importorskip(name)
+    entries = [entry for page in sorted(API.glob("*.md")) for entry in ENTRY.findall(read(page))]
+    assert len(entries) == len(set(entries))
+    listed = [resolve(entry) for entry in entries]
+    for package in packages():
+        for name in getattr(package, "__all__", ()):
+            public = getattr(package, name)
+            assert any(public is entry for entry in listed), f"{package.__name__}.{name} is on no page of the API"
+
+
+def test_the_scripts_find_what_they_import():
+    for script in sorted((ROOT / "docs" / "pictures").glob("*.py")):
+        for statement in ast.walk(ast.parse(read(script))):
+            if isinstance(statement, ast.ImportFrom) and str(statement.module).startswith(("shape_obs", "tests")):
+                module = importlib.import_module(str(statement.module))
+                for alias in statement.names:
+                    assert hasattr(module, alias.name), f"{script.name}: {statement.module} has no {alias.name}"
+
+
+def unnumbered(text: str) -> str:
+    """Hide the digits: the last ones differ between versions of NumPy and OpenCV."""
+    return re.sub(r"\d+(\.\d+)?", "#", text)
+
+
+def test_the_page_on_failures_has_the_reasons_and_qualities_that_come_out(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "pictures"))
+    from failures import CASES  # pyright: ignore[reportMissingImports]
+
+    page = read(ROOT / "docs" / "concepts" / "what-can-go-wrong.md")
+    silent = page.split("## Silent failures")[1]
+    for name, make in CASES.items():
+        shape = make().shape
+        (row,) = [line for line in page.splitlines() if f"images/wrong_{name}.jpg" in line]
+        assert (ROOT / "docs" / "images" / f"wrong_{name}.jpg").exists()
+        assert shape.reason or not shape.valid.all(), name
+        assert f"wrong_{name}.jpg" not in silent
+        if shape.reason:
+            assert f'"{unnumbered(shape.reason)}"' in unnumbered(row)
+        else:
+            (quality,) = re.findall(r"0\.\d\d", row)
+            assert shape.quality == pytest.approx(float(quality), abs=0.02)
+
+
+NETWORKS = ROOT / "docs" / "how-to" / "segment-with-a-network.md"
+RECIPES = dict(re.findall(r"^```py\n# (\w+)\.py\n(.*?)^```$", read(NETWORKS), flags=re.M | re.S))
+
+
+def test_the_recipes_for_networks_compile_and_a_box_prompt_follows_the_object(tmp_path, monkeypatch):
+    assert set(RECIPES) == {"onnx_masks", "box_masks", "sam_masks", "yolo_masks", "supervision_shapes"}
+    for recipe, code in RECIPES.items():
+        compile(code, recipe, "exec")
+    (tmp_path / "box_masks.py").write_text(RECIPES["box_masks"], encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    detector, by_colour = (ShapeDetector([Centerline(n=20)], rule) for rule in ("box_masks:rope", BLUE))
+    for shift in (0, 10, 20, 30):
+        picture = photo(shift)[..., ::-1].copy()
+        shape, expected = (each.detect(picture).shapes[0] for each in (detector, by_colour))
+        assert shape.ok, shape.reason
+        assert np.linalg.norm(shape.pixels - expected.pixels, axis=1).max() < 3
+    from box_masks import rope  # pyright: ignore[reportMissingImports]
+
+    assert rope.box != rope.first
+    assert not detector.detect(np.full((480, 640, 3), 200, np.uint8)).shapes[0].visible.any()
+    assert rope.box == rope.first
+    sys.modules.pop("box_masks")
