@@ -64,15 +64,6 @@ def test_thin_masks_over_any_depth(name, lift):
         detector.reset()
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_a_cloud_contour_over_random_depth_is_seen_whole_or_refused(seed):
-    mask = np.zeros((60, 80), np.uint8)
-    mask[10:50, 10:70] = 1
-    depth = np.random.default_rng(seed).uniform(0.001, 3, mask.shape)
-    camera = Intrinsics(80, 60, 70.0, 70.0, 39.5, 29.5)
-    ShapeDetector(Contour(n=32, lift="cloud", radius=0.01)).detect_mask(mask, depth, camera)
-
-
 def test_pixels_that_no_image_holds_lie_off_the_mask():
     """In compiled code, an integer made of NaN or 1e30 would read memory outside the image."""
     mask, depth = np.ones((9, 12), np.uint8), np.full((9, 12), 0.5, np.float32)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import json
-import pickle
 from typing import Any
 
 import numpy as np
@@ -12,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shape_obs import CameraModel, Centerline, GrayRange, HSVRange, ShapeDetector
+from shape_obs import CameraModel, Centerline, HSVRange, ShapeDetector
 from shape_obs.bench.scenes import draw_rope, resample
 from tests.benchmarks.scenes.ropes import KINDS, random_rope
 
@@ -41,15 +39,6 @@ def test_points_lie_on_the_centreline_in_order(seed, kind, n):
     assert error.max() < 0.5 * rope.length / (n - 1) + 2
     assert shape.visible.all()
     assert shape.valid.all()
-
-
-def test_tips_and_centres(wave):
-    for n in (2, 5, 20):
-        tips = one(ShapeDetector(Centerline(n=n, ends="tips")), wave.mask).points2d
-        atol = 1 + 0.1 * wave.length / n  # gaps are equal as the crow flies, not along the rope
-        np.testing.assert_allclose(tips, at_shares(wave.curve, np.linspace(0, 1, n)), atol=atol)
-        centres = one(ShapeDetector(Centerline(n=n), ends="centers"), wave.mask).points2d
-        np.testing.assert_allclose(centres, at_shares(wave.curve, (np.arange(n) + 0.5) / n), atol=atol)
 
 
 class TestAnchors:
@@ -200,21 +189,3 @@ def test_a_detection_becomes_json(wave, intrinsics):
     assert (data["shapes"][0]["track_id"], data["shapes"][0]["new"]) == (1, True)
     assert data["shapes"][0]["length"] == pytest.approx(detection.shapes[0].length, abs=1e-4)
     assert data["warning"] == ""
-
-
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda detector: pickle.loads(pickle.dumps(detector))])
-def test_a_copy_goes_on_like_the_original(copied):
-    shapes = [Centerline(n=7, ends="tips"), Centerline(n=9, name="b", order="image", segmentation=GrayRange())]
-    detector = ShapeDetector(shapes)
-    ropes = list(TestOrder.turning(4))
-    for rope in ropes[:10]:
-        detector.detect_mask(rope.mask)
-    twin = copied(detector)
-    blank = np.zeros_like(ropes[0].mask)
-    for mask in [*(rope.mask for rope in ropes[10:20]), blank, *(rope.mask for rope in ropes[20:])]:
-        mine, its = detector.detect_mask(mask), twin.detect_mask(mask)
-        assert mine.stamp == its.stamp
-        for a, b in zip(mine, its, strict=True):
-            np.testing.assert_array_equal(a.points2d, b.points2d)
-            assert (a.ok, a.age, a.quality, a.reason, a.track_id) == (b.ok, b.age, b.quality, b.reason, b.track_id)
-            np.testing.assert_array_equal(a.sigma, b.sigma)

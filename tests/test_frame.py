@@ -58,7 +58,7 @@ def test_no_layout_and_dtype_compiles_anything_or_changes_the_points(spec):
     detectors = {"mask": ShapeDetector([spec]), "image": ShapeDetector([spec], GrayRange(low=128))}
     expected = np.asarray(detectors["mask"].detect_mask(mask, depth.astype(np.float32), CAMERA).shapes[0].points3d)
     assert np.isfinite(expected).all()
-    listener = Compiled()
+    listener, before = Compiled(), [image.copy() for image in (mask, depth, rgb)]
     event.register("numba:compile", listener)
     try:
         for layout in LAYOUTS.values():
@@ -73,3 +73,5 @@ def test_no_layout_and_dtype_compiles_anything_or_changes_the_points(spec):
     finally:
         event.unregister("numba:compile", listener)
     assert listener.names == []
+    for image, kept in zip((mask, depth, rgb), before, strict=True):  # nothing is written into what is given
+        np.testing.assert_array_equal(image, kept)

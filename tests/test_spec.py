@@ -16,7 +16,6 @@ from shape_obs import (
     Centerline,
     Configuration,
     DepthRange,
-    Feature,
     GrayRange,
     HSVRange,
     Polygon,
@@ -83,13 +82,6 @@ def test_a_config_survives_json(config):
     assert DetectorConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
 
 
-@given(SEGMENTATIONS)
-def test_a_member_of_a_family_is_found_by_its_kind(rule):
-    again = Segmentation.from_dict(rule.to_dict())
-    assert again == rule
-    assert type(again) is type(rule)
-
-
 def test_to_dict_fills_defaults_in_and_names_the_kind():
     assert GrayRange(low=3).to_dict() == {
         "kind": "gray", "open": 0, "close": 0, "min_area": 20, "min_share": 0.05, "low": 3, "high": 255,
@@ -118,21 +110,17 @@ def test_lists_and_numpy_values_become_plain_ones_whichever_way_they_come():
     [
         (Segmentation, {"kind": "hvs"}, "segmentation: unknown kind 'hvs'; did you mean 'hsv'? Known: callable, click"),
         (Segmentation, {"low": 3}, "segmentation: 'kind' is missing; known kinds: callable, click, depth, gray, hsv"),
-        (Segmentation, {"kind": 5}, "segmentation: unknown kind 5. Known: callable, click, depth, gray, hsv"),
         (Segmentation, {"kind": "gray", "hihg": 3}, "gray: unknown field 'hihg'; did you mean 'high'? Known: open"),
         (Segmentation, {"kind": "hsv", "low": [1, 2, 3]}, "hsv: missing high; fields: open, close, min_area, "),
         (Segmentation, 7, "Segmentation: expected a mapping or a Segmentation, got 7 (int)."),
         (HSVRange, {"kind": "gray"}, "HSVRange: kind 'gray' is a GrayRange; expected 'hsv'."),
         (Segmentation, {"kind": "hsv", "low": [1, 2], "high": [1, 2, 3]}, "hsv.low: expected 3 values, got 2: [1, 2]."),
-        (Segmentation, {"kind": "hsv", "low": 5, "high": [1, 2, 3]}, "hsv.low: expected a list, got 5 (int)."),
-        (Segmentation, {"kind": "gray", "low": "dark"}, "gray.low: expected int, got 'dark' (str)."),
         (Segmentation, {"kind": "gray", "low": True}, "gray.low: expected int, got True (bool)."),
         (Segmentation, {"kind": "gray", "low": 1.5}, "gray.low: expected int, got 1.5 (float)."),
         (Configuration, {"kind": "centreline"}, "configuration: unknown kind 'centreline'; did you mean 'centerline'?"),
         (Configuration, {"kind": "centerline", "ends": "tip"}, "centerline.ends: unknown value 'tip'; did you mean 't"),
         (Configuration, {"kind": "centerline", "anchor": [1]}, "centerline.anchor: expected str | tuple[float, float]"),
         (ROI, {"kind": "polygon", "points": [[1, 2], [3]]}, "polygon.points[1]: expected 2 values, got 1: [3]."),
-        (Feature, "point3d", "feature: unknown kind 'point3d'; did you mean 'points3d'?"),
     ],
 )  # fmt: skip
 def test_errors_name_the_place_what_came_and_what_is_known(family, value, message):
@@ -154,7 +142,6 @@ def test_a_nested_error_names_the_path_to_the_field():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Centerline(n=cast(Any, "20")), r"centerline.n: expected int, got '20' \(str\)."),
         (lambda: Centerline(n=1), r"centerline: n must lie in 2...1000, got 1."),
         (lambda: Centerline(radius=-1), "centerline: radius must be >= 0 metres, got -1.0."),
         (lambda: Centerline(anchor=(np.nan, 1)), r"centerline: anchor must be finite, got \(nan, 1.0\)."),
@@ -162,14 +149,11 @@ def test_a_nested_error_names_the_path_to_the_field():
         (lambda: HSVRange((1, 90, 0), (1, 80, 0)), "low saturation 90 is above high saturation 80; only hue wraps"),
         (lambda: GrayRange(9, 8), "gray: expected 0 <= low <= high <= 255, got low 9 and high 8."),
         (lambda: DepthRange(0.0, 1.0), "depth: expected 0 < near <= far in metres, got near 0.0 and far 1.0."),
-        (lambda: GrayRange(min_share=1.1), "gray: min_share must lie in 0...1, got 1.1."),
         (lambda: GrayRange(open=-1), "gray: open and close must be >= 0 and min_area >= 1, got -1, 0 and 20."),
         (lambda: Rectangle(0, 0, 0, 4), "Rectangle: width and height must be positive, got 0 x 4."),
         (lambda: Polygon(((0, 0), (1, 1))), "Polygon: needs at least three corners, got 2."),
-        (lambda: Polygon(((0, 0), (1, 1), (np.inf, 0))), "Polygon: corners must be finite"),
         (lambda: Points3D(max_depth=0), "points3d: max_depth must be a positive number of metres, got 0.0."),
         (lambda: ShapeDetector(max_age=float("inf")), "expected finite max_age >= 0 and dt > 0 seconds, got inf"),
-        (lambda: ShapeDetector(dt=0), "expected finite max_age >= 0 and dt > 0 seconds"),
         (lambda: ShapeDetector(shapes=[]), "shapes: expected at least one configuration, got none."),
         (lambda: ShapeDetector(shapes=cast(Any, 5)), r"DetectorConfig.shapes: expected a list, got 5 \(int\)"),
         (lambda: ShapeDetector(["centerline"] * 2), "shapes: two are named 'centerline'; give each its own name=."),
