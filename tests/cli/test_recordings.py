@@ -25,7 +25,6 @@ def place(tmp_path_factory):
     space = {"kind": "centerline", "n": 8, "anchor": "gripper0", "ends": "tips", "spacing": "m"}
     save_config(folder / "space.yaml", {"segmentation": BLUE, "shapes": [space], "features": ["points3d"]})
     save_config(folder / "far.yaml", {"segmentation": {"kind": "depth", "near": 0.5, "far": 0.6}})
-    (folder / "damaged.yaml").write_text("shape: [unclosed")
     for name, count in (("photos", 3), ("damaged", 2)):
         (folder / name).mkdir()
         for i in range(count):
@@ -70,13 +69,8 @@ def test_record_then_replay_then_read(place, recorded, tmp_path, run):
         assert table["centerline/points3d"].shape == (12, 8, 3)
         assert np.array_equal(table["centerline/points3d"], tables[0]["centerline/points3d"])
         assert table.metadata["config_hash"] == report["config_hash"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "s.csv",
-        "s.csv.meta.json",
-        "s.mp4",
-        "s.npz",
-        "s.parquet",
-    ]
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"s.csv", "s.csv.meta.json", "s.mp4", "s.npz", "s.parquet"}, "nothing half-written stays"
 
 
 def test_replaying_the_source_itself_gives_the_recordings_shapes(place, recorded, tmp_path, run):
@@ -92,9 +86,8 @@ def test_replaying_the_source_itself_gives_the_recordings_shapes(place, recorded
 
 def test_seconds_are_those_of_the_stamps(place, tmp_path, run):
     pytest.importorskip("mujoco")
-    code, out, _ = run(
-        "record", "--source", "ShapeObs/Cable-v0", "-o", tmp_path / "r", "--seconds", 0.5, "--json", *CABLE
-    )
+    arguments = ["--source", "ShapeObs/Cable-v0", "-o", tmp_path / "r", "--seconds", 0.5, "--json", *CABLE]
+    code, out, _ = run("record", *arguments)
     report = json.loads(out)
     assert code == 0
     assert (report["frames"], report["dropped"], report["stopped"]) == (10, 0, "done")
@@ -111,10 +104,8 @@ def test_photos_and_videos_are_recorded_and_replayed(place, tmp_path, run):
 
 
 def test_a_shape_that_is_not_there_is_a_row(recorded, tmp_path, run):
-    save_config(
-        tmp_path / "red.yaml",
-        {"segmentation": {**BLUE, "low": [0, 200, 200], "high": [5, 255, 255]}, "on_missing": "raise"},
-    )
+    red = {**BLUE, "low": [0, 200, 200], "high": [5, 255, 255]}
+    save_config(tmp_path / "red.yaml", {"segmentation": red, "on_missing": "raise"})
     code, out, _ = run("replay", recorded, "--config", tmp_path / "red.yaml", "--npz", tmp_path / "s.npz")
     table = ShapeTable.load(tmp_path / "s.npz")
     assert code == 0
@@ -141,21 +132,17 @@ def test_an_interrupted_recording_is_replayed_with_a_word_about_it(place, record
     ("arguments", "code", "message"),
     [
         ("replay none --config pixels.yaml", 1, "source 'none' is not a camera, path, class or environment"),
-        ("replay no/recording --config pixels.yaml", 1, "no/recording: no such file or folder"),
         ("replay empty --config pixels.yaml", 1, "empty: expected a recording"),
-        ("replay notes.txt --config pixels.yaml", 1, "or a folder, got '.txt'"),
         ("replay junk.mp4 --config pixels.yaml", 1, "junk.mp4: not a video that OpenCV can decode"),
         ("replay damaged --config pixels.yaml", 1, "1.png: not an image that can be read; it may be damaged"),
         ("replay rope.avi --config space.yaml", 1, "rope.avi has no depth, but the config needs it: feature"),
         ("replay photos --config far.yaml", 1, "needs it: segmentation 'depth' of shape 'centerline'"),
-        ("replay photos --config damaged.yaml", 1, "damaged.yaml: not valid YAML"),
         ("replay photos", 2, "give --config FILE to detect with, or --verify"),
         ("replay photos --config pixels.yaml --csv notes.txt/s.csv", 1, "cannot make the output folder"),
         ("replay photos --config pixels.yaml --video s.mkv", 1, "expected a video named *.mp4, *.avi, *.gif"),
         ("replay CartPole-v1 --config pixels.yaml", 1, "CartPole-v1: the observation must be an RGB image"),
         ("replay ShapeObs/Cable-v0 --config space.yaml", 2, "ShapeObs/Cable-v0 never ends: give --frames N"),
         ("record --source photos -o photos", 1, "photos: the folder is not empty"),
-        ("record --source photos -o notes.txt/out", 1, "cannot make the output folder notes.txt/out"),
         ("record --source rope.avi -o new --depth yes", 1, "rope.avi has no depth to record"),
         ("record --source photos -o new --seconds 1", 1, "its frames have no stamps"),
         ("record --source photos -o new --set exposure=1", 2, "a FolderSource does not take ['exposure']"),
