@@ -1,4 +1,4 @@
-"""Ablations on a Ray cluster: a worker is killed in the middle, and the numbers are those of this process."""
+"""Ablations that lose a worker of a Ray cluster or are killed at random instants: the same numbers."""
 
 from __future__ import annotations
 
@@ -35,3 +35,16 @@ def test_without_ray_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(ImportError, match=r'pip install "\.\[ray\]"'):
         Ray()
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(1200)
+def test_no_kill_loses_or_changes_a_finished_run(tmp_path):
+    pytest.importorskip("mujoco")
+    pytest.importorskip("stable_baselines3")
+    from fuzzing.killed_studies import killed_studies
+
+    killed = killed_studies(tmp_path, kills=10)
+    assert killed.kills == 10
+    assert killed.finished >= 1
+    assert (killed.lost, killed.different) == (0, 0)

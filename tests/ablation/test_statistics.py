@@ -38,8 +38,7 @@ def test_strata_are_drawn_each_by_itself():
 def test_one_run_has_no_interval_and_none_is_refused():
     found = interval([[3.0]])
     assert found.value == 3.0
-    assert np.isnan(found.low)
-    assert np.isnan(found.high)
+    assert np.isnan([found.low, found.high]).all()
     with pytest.raises(ValueError, match="at least one value in each stratum"):
         interval([[1.0], []])
 

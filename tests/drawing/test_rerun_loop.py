@@ -8,15 +8,16 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from rerun_reading import entities, points, read_rrd
+from rerun_reading import points, read_rrd
 
 import shape_obs
-from shape_obs import CameraModel, Centerline, HSVRange, Intrinsics, ShapeDetector
+from shape_obs import Centerline, HSVRange, Intrinsics, ShapeDetector
 from shape_obs.drawing import HIDDEN, VALID, VISIBLE
 
 rr: Any = pytest.importorskip("rerun")
 
 SIZE = (120, 160)
+QUALITY = "/plots/quality/rope", "Scalars:scalars"
 LENS = Intrinsics(width=160, height=120, fx=150.0, fy=150.0, cx=79.5, cy=59.5)
 BLUE = HSVRange(low=(100, 120, 40), high=(125, 255, 255))
 
@@ -59,14 +60,12 @@ def test_points_are_those_of_the_detection(stream):
     assert numbers[100] == [str(i) for i in range(12)]
     lines = read_rrd(path, "/camera/shapes/rope/lines", "LineStrips3D:strips")
     np.testing.assert_array_equal(points(lines[100])[:, 0], found[0]["rope"].points3d[:-1])
-    quality = read_rrd(path, "/plots/quality/rope", "Scalars:scalars")
+    quality = read_rrd(path, *QUALITY)
     assert np.ravel(quality[102])[0] == pytest.approx(found[2]["rope"].quality)
     total = read_rrd(path, "/plots/timings/total", "Scalars:scalars")
     assert np.ravel(total[103])[0] == pytest.approx(found[3].timings["total"])
-    stamps = list(read_rrd(path, "/plots/quality/rope", "Scalars:scalars", index="stamp"))
-    assert [float(np.timedelta64(stamp, "ns") / np.timedelta64(1, "s")) for stamp in stamps] == pytest.approx(
-        [0.0, 0.1, 0.2, 0.3, 0.4]
-    )
+    stamps = [np.timedelta64(stamp, "ns") for stamp in read_rrd(path, *QUALITY, index="stamp")]
+    assert [stamp / np.timedelta64(1, "s") for stamp in stamps] == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4])
 
 
 def test_images_are_those_of_the_camera(stream):
@@ -127,24 +126,12 @@ def test_features_have_the_names_of_their_components(stream):
     shape_obs.log_rerun(None, features=features, recording=recording)
     recording.disconnect()
     assert read_rrd(path, "/plots/features/rope/points2d", "Scalars:scalars")[0] == [1.0, 2.0]
-    names = read_rrd(path, "/plots/features/rope/points2d", "SeriesLines:names")
-    assert next(iter(names.values())) == ["rope/points2d u0", "rope/points2d v0"]
-    names = read_rrd(path, "/plots/features/rope/length", "SeriesLines:names")
-    assert next(iter(names.values())) == ["rope/length"]
-    names = read_rrd(path, "/plots/features/force", "SeriesLines:names")
-    assert next(iter(names.values())) == ["force 0", "force 1", "force 2"]
-
-
-def test_the_camera_stands_in_the_base_frame_and_unusual_names_are_escaped(stream):
-    recording, path = stream
-    pose = np.eye(4)
-    pose[:3, 3] = 0.1, 0.2, 0.9
-    rgb, depth = frame()
-    detector = ShapeDetector([Centerline(n=12, name="the rope")], BLUE)
-    camera = CameraModel(LENS, pose)
-    shape_obs.log_rerun(detector.detect(rgb, depth, camera), rgb, depth, camera, recording=recording)
-    recording.disconnect()
-    assert {"/camera", "/camera/image", "/camera/shapes/the\\ rope/points"} <= entities(path)
+    for feature, names in (
+        ("rope/points2d", ["rope/points2d u0", "rope/points2d v0"]),
+        ("rope/length", ["rope/length"]),
+        ("force", ["force 0", "force 1", "force 2"]),
+    ):
+        assert [*read_rrd(path, f"/plots/features/{feature}", "SeriesLines:names").values()] == [names]
 
 
 def test_the_recording_of_init_is_used(tmp_path, monkeypatch):

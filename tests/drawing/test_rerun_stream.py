@@ -73,18 +73,12 @@ def test_bad_targets(tmp_path, monkeypatch, target, error, message):
         RerunStream(target)
 
 
-def test_a_viewer_that_is_not_there_is_an_error():
+def test_a_viewer_that_is_not_there_is_an_error_and_one_that_goes_away_stops_nothing():
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     with pytest.raises(OSError, match=f"no rerun viewer at rerun\\+http://127.0.0.1:{port}/proxy"):
         RerunStream(address("127.0.0.1", port))
-
-
-def test_a_viewer_that_goes_away_stops_nothing():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
     viewer = subprocess.Popen([sys.executable, "-c", SERVER, str(port)])
     try:
         for _ in range(200):  # until it accepts connections

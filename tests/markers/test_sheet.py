@@ -60,10 +60,8 @@ class TestSheets:
         [
             (["-o", "sheet.gif"], "--out: expected a file named *.pdf or *.png"),
             (["--size", 300], "a marker of 300 mm does not fit on a4 paper: give at most 142 mm"),
-            (["--size", 2], "too small to print: give at least 6 mm"),
             (["--ids", 0, 99], "markers of '4x4_50' have the ids 0 to 49, got 99"),
             (["--charuco", "--size", 40], "--ids and --size are for single markers; with --charuco use --board"),
-            (["--board", 5, 4, 30, 20], "give --charuco too"),
             (["--charuco", "--board", 9, 6, 40, 30, "--dictionary", "4x4_100"], "the board of 360 x 240 mm does not"),
         ],
     )
