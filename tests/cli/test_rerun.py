@@ -2,12 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import subprocess
-import sys
-import time
-
 import cv2
 import numpy as np
 import pytest
@@ -104,29 +98,6 @@ def test_a_demo_is_logged(place, run):
     found = entities(place / "d" / "demo.rrd")
     assert {"/camera/shapes/centerline/points", "/camera/image/goals", "/camera/image/mask"} <= found
     assert "/plots/features/centerline/points3d" in found
-
-
-@pytest.mark.nightly
-@pytest.mark.usefixtures("default_signals")
-@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
-def test_ctrl_c_leaves_a_file_with_the_frames_up_to_then(place):
-    pytest.importorskip("mujoco")
-    command = ["view", "ShapeObs/Cable-v0", "--frames", "100000", "--out", "v.rrd", *CABLE]
-    child = subprocess.Popen(
-        [sys.executable, "-c", "from shape_obs.cli import main; main()", *command],
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONUNBUFFERED": "1"},
-    )
-    give_up = time.monotonic() + 60
-    while not any(path.stat().st_size > 20_000 for path in place.glob(".v.rrd.*")) and time.monotonic() < give_up:
-        time.sleep(0.05)
-    child.send_signal(signal.SIGINT)
-    _, err = child.communicate(timeout=30)
-    assert child.returncode == 130, err
-    assert err.endswith("shape-obs view: interrupted\n")
-    assert len(read_rrd(place / "v.rrd", RGB, "EncodedImage:blob")) > 1
-    assert not list(place.glob(".v.rrd.*"))
 
 
 @pytest.mark.parametrize(

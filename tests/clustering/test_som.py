@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from shape_obs.clustering.som import batch_epochs, best_matching_units
+from shape_obs.clustering.som import batch_epochs
 from shape_obs.geometry.topology import Chain, Grid, Ring
 
 
@@ -37,12 +37,3 @@ def test_epochs_are_weighted_local_fits(seed, topology, dimension):
         expected = epoch(points, weight, expected, topology.offsets(), sigma)
     found = batch_epochs(points, weight, nodes, shape, isinstance(topology, Ring), np.array([0.8, 0.6]))
     np.testing.assert_allclose(found, expected, atol=1e-5)
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(2, 3))
-def test_best_matching_units_are_the_nearest_nodes(seed, dimension):
-    rng = np.random.default_rng(seed)
-    points, nodes = rng.uniform(0, 100, (80, dimension)), rng.uniform(0, 100, (12, dimension))
-    units = best_matching_units.py_func(points, nodes)  # pyright: ignore[reportFunctionMemberAccess]
-    away = cdist(points, nodes)
-    np.testing.assert_allclose(away[np.arange(80), units], away.min(axis=1), atol=1e-3)  # in single precision

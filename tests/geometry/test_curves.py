@@ -6,50 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import gaussian_filter1d
 
 from shape_obs.geometry.lattice import uneven_places
 from shape_obs.geometry.outline import clockwise, material_outline
-from shape_obs.geometry.polyline import arc_length, catmull_rom, interpolate, nearest_on, resample
 from shape_obs.geometry.rotation import best_rotation
 from shape_obs.geometry.topology import Grid
-
-SEEDS = st.integers(0, 2**32 - 1)
-
-
-def summed(curve):
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
-
-
-@given(SEEDS, st.booleans(), st.integers(2, 3), st.integers(3, 12))
-def test_a_smooth_curve_is_scipy_s_hermite_spline(seed, closed, dimension, count):
-    nodes = np.random.default_rng(seed).uniform(0, 100, (count, dimension))
-    line = np.concatenate([nodes[-1:], nodes, nodes[:2]]) if closed else nodes
-    at = summed(line)
-    slope = np.diff(line, axis=0) / np.diff(at)[:, None]
-    gap = np.diff(at)[:, None]
-    tangent = np.zeros_like(line)
-    tangent[1:-1] = (slope[:-1] * gap[1:] + slope[1:] * gap[:-1]) / (gap[1:] + gap[:-1])
-    tangent[0], tangent[-1] = 2 * slope[0] - tangent[1], 2 * slope[-1] - tangent[-2]
-    knots = at[1 : count + 2] if closed else at
-    share = np.linspace(0, 1, 4, endpoint=False)
-    places = (knots[:-1, None] + np.diff(knots)[:, None] * share).ravel()
-    expected = CubicHermiteSpline(at, line, tangent)(places if closed else np.append(places, knots[-1]))
-    np.testing.assert_allclose(catmull_rom(nodes, 4, closed), expected, atol=1e-8)
-
-
-@given(st.integers(0, 2**32 - 1))
-def test_nearest_places_by_brute_force(seed):
-    rng = np.random.default_rng(seed)
-    curve, points = rng.uniform(0, 10, (6, 2)), rng.uniform(0, 10, (5, 2))
-    arc, distance = nearest_on(curve, points)
-    fine = resample(curve, 20001)
-    away = np.linalg.norm(points[:, None] - fine, axis=2)
-    np.testing.assert_allclose(distance, away.min(axis=1), atol=1e-2)
-    assert np.isnan(nearest_on(curve, np.full((1, 2), np.nan))[1]).all()
-    on = interpolate(curve, arc_length(curve), arc)
-    np.testing.assert_allclose(np.linalg.norm(on - points, axis=1), distance, atol=1e-9)
 
 
 def traced(radius: float = 40.0) -> np.ndarray:

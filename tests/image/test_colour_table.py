@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shape_obs import ColourRule, DepthRange, Frame, GrayRange, HSVRange, Polygon, ShapeDetector, Whole
-from shape_obs.image.colour_search import find_by_colour, table_mask
+from shape_obs.image.colour_search import table_mask
 from shape_obs.image.find_region import find_region, segment
 from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import colour_table
@@ -52,27 +52,6 @@ def assert_same_region(found, expected):
     assert found.box == expected.box
 
 
-def runs_of(mask, left, top):
-    """Return row, first column and column past the last one of each run, (R, 3), in image coordinates."""
-    found = []
-    for row, line in enumerate(mask):
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], line, [0]]).astype(int)))
-        found += [(row + top, start + left, stop + left) for start, stop in edges.reshape(-1, 2)]
-    return np.array(found, np.int64).reshape(-1, 3)
-
-
-def met_by_lattice(blobs, window, step, min_area, min_share):
-    """Return mask and areas of OpenCV's components that are large enough and contain a pixel of the lattice."""
-    v, u = np.mgrid[window.top : window.top + window.height, window.left : window.left + window.width]
-    shift = step // 4 + (step // 2) * ((v // step) & 1)
-    lattice = (v % step == step // 2) & ((u - shift) % step == 0)
-    labels = np.asarray(cv2.connectedComponents(blobs.astype(np.uint8), connectivity=8)[1])
-    met = np.unique(labels[lattice & blobs])
-    areas = np.array([np.count_nonzero(labels == label) for label in met], int)
-    kept = areas >= max(min_area, min_share * areas.max(initial=0))
-    return np.isin(labels, met[kept]), np.sort(areas[kept])[::-1]
-
-
 class TestTable:
     HUES = st.tuples(*[st.integers(0, 179)] * 2)  # one pair in two wraps around
     RANGES = st.builds(
@@ -105,31 +84,6 @@ class TestTable:
         np.testing.assert_array_equal(table_mask(image, window, colour_table(rule)), expected)
         shape = ShapeDetector(segmentation=rule).detect(image).shapes[0]
         assert shape.ok, shape.reason
-
-
-class TestSearch:
-    @settings(max_examples=60)
-    @given(st.integers(0, 2**32 - 1), st.sampled_from([4, 8]), st.floats(0.05, 0.6), st.integers(1, 9))
-    def test_it_finds_the_components_of_opencv_that_the_lattice_meets(self, seed, step, share, grain):
-        """The search returns complete components, and only those that the lattice meets."""
-        rng = np.random.default_rng(seed)
-        size = rng.integers(1, 90, 2)
-        coarse = rng.uniform(size=-(-size // grain)) < share
-        blobs = np.kron(coarse, np.ones((grain, grain), bool))[: size[0], : size[1]]
-        image = np.where(blobs[..., None], np.uint8(255), np.uint8(0)).repeat(3, axis=2)
-        left, top = int(rng.integers(size[1])), int(rng.integers(size[0]))
-        window = Window(left, top, int(rng.integers(size[1] - left)) + 1, int(rng.integers(size[0] - top)) + 1)
-        min_area, min_share = int(rng.integers(1, 30)), float(rng.uniform())
-        table = colour_table(GrayRange(low=128))
-        mask, runs, found_areas, box, _ = find_by_colour(image, window, table, step, min_area, min_share)
-        expected, areas = met_by_lattice(blobs[window.slices], window, step, min_area, min_share)
-        np.testing.assert_array_equal(mask, np.where(expected, 255, 0))
-        np.testing.assert_array_equal(np.sort(found_areas)[::-1], areas)
-        np.testing.assert_array_equal(runs, runs_of(expected, left, top))
-        if len(areas):
-            v, u = np.nonzero(expected)
-            assert box == (left + u.min(), top + v.min(), np.ptp(u) + 1, np.ptp(v) + 1)
-        assert mask.flags.c_contiguous
 
 
 class TestSegment:

@@ -10,13 +10,12 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial.distance import cdist
 
 from shape_obs.image.connected_runs import find_components, gather_cells
 from shape_obs.image.find_region import find_region
-from shape_obs.image.outline_tracing import SPECK, Traced, fill_holes, trace_components, trace_hole
+from shape_obs.image.outline_tracing import Traced, trace_components, trace_hole
 from shape_obs.image.roi import Window
-from shape_obs.image.sharing import Reach, part_of, share, share_pixels
+from shape_obs.image.sharing import Reach, part_of, share
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -130,64 +129,6 @@ def test_holes_are_those_of_opencv():
             np.testing.assert_array_equal(trace_hole(mask, int(column), int(row), LEFT, TOP), expected)
             seen += 1
     assert seen > 150
-
-
-def test_small_holes_are_filled_as_opencv_fills_them():
-    for mask in masks(100):
-        runs, _, found = traced(mask)
-        expected, left, filled = mask.copy(), 0, mask.copy()
-        for hole in contours(mask)[1].values():
-            if len(hole) < SPECK:
-                cv2.drawContours(expected, [hole - (LEFT, TOP)], -1, (1,), cv2.FILLED)
-            else:
-                left += 1
-        assert fill_holes(filled, runs, found.holes, LEFT, TOP, SPECK, -1.0) == left
-        np.testing.assert_array_equal(filled, expected)
-
-
-def shared(mask, curves, radius, reach, slack, spread=0):
-    stops = np.cumsum([len(curve) for curve in curves])
-    points = np.ascontiguousarray(np.concatenate(curves), dtype=np.float64)
-    runs = find_region(mask, Window(0, 0, mask.shape[1], mask.shape[0]), 0, 0.0).runs
-    radii = np.full(len(curves), float(radius))
-    owners, contested, beyond = share_pixels(runs, points, stops, radii, reach, slack, spread)
-    image = np.zeros(mask.shape, np.uint32)
-    image[mask != 0] = owners  # the runs are in the order of the pixels
-    return image, contested, beyond
-
-
-@pytest.mark.parametrize("slack", [0.5, 2.0, -1.5])
-def test_pixels_go_to_the_nearest_ribbons(slack):
-    """Compare with brute force, but for pixels beyond tips, which have a rule of their own."""
-    radius, reach, rng = 2.5, 4.0, np.random.default_rng(3)
-    same = total = 0
-    for _ in range(30):
-        mask = np.where(rng.random((40, 60)) < 0.7, np.uint8(255), np.uint8(0))
-        ends = [rng.uniform((5, 5), (55, 35), (2, 2)) for _ in range(3)]
-        curves = [np.linspace(*each, 120) for each in ends]
-        owners, contested, beyond = shared(mask, curves, radius, reach, slack)
-        rows, columns = np.nonzero(mask)
-        pixels = np.stack([columns, rows], axis=1).astype(float)
-        away = np.stack([cdist(pixels, curve).min(axis=1) for curve in curves], axis=1)
-        excess = np.where(away <= radius + reach, np.maximum(away - radius, 0), np.inf)
-        order = np.sort(excess, axis=1)
-        nearest = excess == order[:, :1]
-        if slack >= 0:
-            own = (excess < np.inf) & (nearest | (excess <= slack))
-        else:
-            own = nearest & (order[:, :1] < np.inf) & (order[:, 1:2] - order[:, :1] >= -slack)
-        clear = np.ones(len(pixels), bool)
-        for start, end in ends:
-            for tip, other in ((start, end), (end, start)):
-                far = np.linalg.norm(pixels - tip, axis=1) > 2 * radius + reach
-                clear &= ((pixels - tip) @ (tip - other) <= 0) | far
-        found = (owners[rows, columns][:, None] >> np.arange(3)) & 1 == 1
-        same += np.count_nonzero((found == own).all(axis=1) & clear)
-        total += np.count_nonzero(clear)
-        assert abs(beyond - np.count_nonzero(order[:, 0] == np.inf)) <= 0.02 * len(pixels)
-        assert (contested > 0).sum() != 1
-    assert total > 10000
-    assert same >= 0.97 * total
 
 
 def test_a_part_is_a_region_of_its_own():

@@ -78,14 +78,6 @@ def test_a_gap_that_two_ropes_could_fill_is_left():
     assert len(found) == 3
 
 
-def test_a_ragged_border_makes_no_branches():
-    rng = np.random.default_rng(0)
-    for _ in range(5):
-        scene = several_ropes(rng, 2, 1, width=9.0, ragged=1.0, soft=0.7, specks=10, holes=6)
-        found = [each.curve.points for each in ropes(scene.mask) if not each.curve.ambiguity]
-        assert len(found) == 2
-
-
 def test_two_ropes_under_something_wide_are_not_joined_into_one():
     mask = lines(((40, 60), (280, 50)), ((50, 180), (270, 200)), width=11)
     one = ShapeDetector([Centerline(n=20)]).detect_mask(mask).shapes[0]
@@ -169,12 +161,6 @@ def test_pieces_of_unlike_colour_are_not_joined_over_a_gap():
     assert len(detect(mask, rgb)) == 2
 
 
-def test_the_picture_has_the_size_of_the_mask():
-    mask, rgb = scene((9, 9), (RED, BLUE))
-    with pytest.raises(ValueError, match="the mask has 400 x 300 pixels, rgb 398 x 300: they must be equal"):
-        detect(mask, np.ascontiguousarray(rgb[:, 2:]))
-
-
 def beside(angle: float, long: float = 110.0) -> tuple[Place, Place]:
     """Return a rope that ends on one along v = 200, at an angle in degrees."""
     way = np.deg2rad(angle)
@@ -201,13 +187,6 @@ def test_a_rope_that_ends_on_another_one_with_a_bump_beyond_is_refused():
     found = detect(mask)
     assert sorted(shape.ok for shape in found) == [False, True]
     assert any("something sticks out beyond it" in shape.reason for shape in found)
-
-
-def test_two_ropes_that_end_on_a_third_next_to_each_other_are_refused():
-    mask = lines(((30, 200), (370, 200)), ((190, 60), (190, 200)), ((214, 200), (214, 290)))
-    found = detect(mask)
-    assert sum(shape.ok for shape in found) <= 2
-    assert not any(shape.ok and 60 < shape.pixels[:, 1].mean() < 190 for shape in found) or len(found) == 2
 
 
 def test_a_rope_goes_on_beyond_another_one_over_a_gap_beside_it():

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from shape_obs import Centerline, Contour, Intrinsics, ShapeDetector, ShapeObservation, SpecError, Surface
+from shape_obs import Centerline, Contour, Intrinsics, ShapeDetector, SpecError, Surface
 from shape_obs.config.config_file import detector_arguments, load_config, save_config, schema_hash
 from tests.benchmarks.scenes.moving_ropes import moving_ropes
 
@@ -257,30 +257,3 @@ def test_ropes_under_a_cloud_have_slots():
         detection = detector.detect_mask(mask, depth, camera)
         assert detection.ok
         assert all(shape.track_id == 1 for shape in detection)
-
-
-def test_slots_are_blocks_of_an_observation():
-    import gymnasium as gym
-
-    class Table(gym.Env):
-        observation_space = gym.spaces.Box(0, 255, (*SIZE, 3), np.uint8)
-        action_space = gym.spaces.Discrete(1)
-
-        def _seen(self):
-            return np.where(drawn(UP, DOWN)[..., None] > 0, np.array((20, 60, 220), np.uint8), np.uint8(200))
-
-        def reset(self, *, seed=None, options=None):
-            super().reset(seed=seed)
-            return self._seen(), {}
-
-        def step(self, action):
-            return self._seen(), 0.0, False, False, {}
-
-    rule = {"kind": "hsv", "low": (100, 100, 60), "high": (125, 255, 255)}
-    env = ShapeObservation(Table(), [Centerline(n=5, count=3)], rule, features=["points2d_normalized", "ok"])
-    observation, info = env.reset(seed=0)
-    assert observation in env.observation_space
-    assert [info[f"shape/centerline{k}/ok"] for k in range(3)] == [True, True, False]
-    assert {block.shape for block in env.blocks} == {"centerline0", "centerline1", "centerline2"}
-    with pytest.raises(ValueError, match="count='all' has no fixed number of slots"):
-        ShapeObservation(Table(), [Centerline(count="all")], rule)

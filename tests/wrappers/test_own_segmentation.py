@@ -85,22 +85,6 @@ def test_the_env_is_rebuilt_from_its_spec_here_and_in_another_process(rope, modu
     np.testing.assert_array_equal(np.float32(json.loads(done.stdout)), expected)
 
 
-def test_a_function_of_the_script_is_rebuilt_in_the_script_and_explained_elsewhere(tmp_path, rope):
-    script = tmp_path / "script.py"
-    script.write_text(
-        f"import sys; sys.path[:0] = {[folder for folder in sys.path if folder.endswith('support')]}\n"
-        "import gymnasium as gym\nfrom shape_obs import ShapeObservation\n"
-        "def mask(rgb, depth): return rgb[..., 2] > rgb[..., 0].astype(int) + 60\n"
-        "gym.register('OwnRope-v0', 'rope_env:RopeEnv')\n"
-        "env = ShapeObservation(gym.make('OwnRope-v0', disable_env_checker=True), segmentation=mask)\n"
-        "gym.make(env.spec).reset()\nprint(env.spec.to_json())\n"
-    )
-    done = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    with pytest.raises(ValueError, match="__main__:mask was defined in the script or notebook that recorded it"):
-        gym.make(EnvSpec.from_json(done.stdout))
-
-
 @pytest.mark.parametrize("arguments", ["segmentation", "shape", "mapping"])
 def test_a_function_without_an_import_path_is_refused_when_the_wrapper_is_made(arguments):
     def mask(rgb, depth):

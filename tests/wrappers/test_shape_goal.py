@@ -105,24 +105,6 @@ class TestReward:
         assert "truth/is_success" not in info
         assert plain.step(ON)[4]["truth/reward"] == pytest.approx(0.1)
 
-    def test_hindsight_replay_relabels_with_it(self):
-        replay = pytest.importorskip("stable_baselines3.her.her_replay_buffer")
-        dummy = pytest.importorskip("stable_baselines3.common.vec_env").DummyVecEnv
-        limited = gym.wrappers.TimeLimit(ShapeGoal(observing(goals=True)), 5)
-        env = dummy([lambda: limited])
-        memory = replay.HerReplayBuffer(100, env.observation_space, env.action_space, env, n_sampled_goal=4)
-        observation = env.reset()
-        for _ in range(15):
-            action = np.array([ON])
-            following, reward, done, infos = env.step(action)
-            last = infos[0].get("terminal_observation", {})
-            memory.add(observation, {**following, **{k: v[None] for k, v in last.items()}}, action, reward, done, infos)
-            observation = following
-        batch = memory.sample(64)
-        next_ones = batch.next_observations["achieved_goal"].numpy()
-        expected = -mean_distance(next_ones, batch.observations["desired_goal"].numpy())
-        np.testing.assert_allclose(batch.rewards.numpy()[:, 0], expected, atol=1e-6)
-
 
 class TestGoals:
     def test_one_for_an_episode_and_other_options_go_on(self):
