@@ -29,7 +29,8 @@ DETERMINANT = {"trefoil": 3, "figure eight": 5, "5_1": 5, "5_2": 7, "6_2": 11, "
 DETERMINANT |= {"granny": 9, "square": 9} | dict.fromkeys(UNKNOTS, 1)
 NAMES = [*KNOTS, *UNKNOTS]
 COUNT = 40
-# An unknot: the rows that each column of a grid spans, above all rows. The moves remove 6 of 18 crossings.
+_T, _RADIUS = np.linspace(0.02, 2 * np.pi - 0.02, 300), 2 + np.cos(3 * np.linspace(0.02, 2 * np.pi - 0.02, 300))
+TREFOIL = np.stack([_RADIUS * np.cos(2 * _T), _RADIUS * np.sin(2 * _T), np.sin(3 * _T)], axis=1)  # right-handed
 
 
 @cache
@@ -98,35 +99,27 @@ def test_the_polynomial_is_the_sum_over_all_smoothings():
 
 
 def test_a_right_handed_trefoil():
-    t = np.linspace(0.02, 2 * np.pi - 0.02, 300)
-    radius = 2 + np.cos(3 * t)
-    rope = np.stack([radius * np.cos(2 * t), radius * np.sin(2 * t), np.sin(3 * t)], axis=1)
-    crossings = seen(rope)
+    crossings = seen(TREFOIL)
     assert format_code(gauss_code(crossings, "a")) == "O1+ U2+ O3+ U1+ O2+ U3+"
     # The first passage lies over the rope, so that the end is drawn back.
     assert format_code(reduced_code(crossings, "a")) == "U2+ O3+ O2+ U3+"
     assert is_knotted(crossings, "a") is True
     assert jones(crossings, "a") == product({-4 * p: x for p, x in JONES["trefoil"].items()}, CIRCLE)
-    mirror = seen(rope * [1, 1, -1])
+    mirror = seen(TREFOIL * [1, 1, -1])
     assert format_code(gauss_code(mirror, "a")) == "U1- O2- U3- O1- U2- O3-"
-    assert is_knotted(mirror, "a") is is_knotted(seen(rope[::-1]), "a") is True
+    assert is_knotted(mirror, "a") is is_knotted(seen(TREFOIL[::-1]), "a") is True
 
 
 def test_an_end_on_the_rope_is_free_and_an_end_under_it_is_not():
     """An overhand knot of which one end has just passed the last strand."""
-    t = np.linspace(0.02, 2 * np.pi - 0.02, 300)
-    radius = 2 + np.cos(3 * t)
-    rope = np.stack([radius * np.cos(2 * t), radius * np.sin(2 * t), np.sin(3 * t)], axis=1)
-    last = max(c.arcs[1] for c in seen(rope))
-    short = rope[: int(300 * (last - 0.01))]  # the last passage is under: cut before it
+    last = max(c.arcs[1] for c in seen(TREFOIL))
+    short = TREFOIL[: int(300 * (last - 0.01))]  # the last passage is under: cut before it
     assert is_knotted(seen(short), "a") is False
-    assert is_knotted(seen(rope), "a") is True
+    assert is_knotted(seen(TREFOIL), "a") is True
 
 
 def test_unknown_crossings_matter_only_where_the_answer_depends_on_them():
-    t = np.linspace(0.02, 2 * np.pi - 0.02, 300)
-    radius = 2 + np.cos(3 * t)
-    trefoil = seen(np.stack([radius * np.cos(2 * t), radius * np.sin(2 * t), np.sin(3 * t)], axis=1))
+    trefoil = seen(TREFOIL)
     for k in range(3):  # with one crossing changed a trefoil is no knot
         some = [c._replace(above=None) if n == k else c for n, c in enumerate(trefoil)]
         assert is_knotted(some, "a") is None

@@ -1,4 +1,4 @@
-"""Test what trainings need besides an env: the curriculum, and the observations that a shape is compared with."""
+"""What trainings need besides an env: the curriculum, observations that a shape is compared with, networks' inputs."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 
 pytest.importorskip("mujoco")
@@ -122,28 +123,19 @@ def test_a_curriculum_lets_one_more_join_after_so_many_episodes():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda env: Curriculum(env, []), "difficulties: expected a list of names"),
         (lambda env: Curriculum(env, "near"), "difficulties: expected a list of names, got 'near'"),
         (lambda env: Curriculum(env, after=-1), "after: expected a number of episodes, 0 or more, got -1"),
         (lambda env: Curriculum(gym.make("CartPole-v1")), "has no attribute 'difficulty'"),
         (lambda env: TrueState(gym.make("CartPole-v1")), "TrueState needs an environment with goals"),
         (lambda env: TrueState(env, ["rgb"]), "keep: expected vectors of"),
-        (lambda env: Pixels(gym.make("CartPole-v1")), "Pixels needs an environment with goals"),
         (lambda env: Pixels(env), "key: expected an image .* got 'rgb'"),
-        (lambda env: Shuffled(gym.make("CartPole-v1")), "Shuffled needs an environment with goals"),
+        (lambda env: scored(threshold=0.0), "threshold above 0 m"),
+        (lambda env: PointReward(ShapeGoal(ShapeObservation(cable(), features=[POINTS]))), "'points3d' after them"),
     ],
 )
 def test_what_does_not_fit_is_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make(blind())
-
-
-def test_point_reward_needs_points_after_other_features():
-    source = ShapeObservation(cable(), features=[POINTS])
-    with pytest.raises(ValueError, match="needs goals in some features and 'points3d' after them"):
-        PointReward(ShapeGoal(source))
-    with pytest.raises(ValueError, match="threshold above 0 m"):
-        scored(threshold=0.0)
 
 
 def test_the_true_state_is_the_simulators():
@@ -205,3 +197,54 @@ def test_shuffled_points_are_the_same_points_in_another_order():
         ordered, plain_reward, *_ = plain.step(action)
         assert reward == plain_reward
     assert len(orders) == 10  # seen and desired separately, again in each frame
+
+
+@pytest.fixture(scope="module")
+def torch() -> Any:
+    """Return the module; collecting the tests does not load it."""
+    pytest.importorskip("stable_baselines3")
+    return pytest.importorskip("torch")
+
+
+def goals(size: int) -> dict[str, spaces.Space]:
+    box = spaces.Box(-1.0, 1.0, (size,), np.float32)
+    return {"achieved_goal": box, "desired_goal": box}
+
+
+def batch(torch: Any, space: spaces.Dict, size: int = 4) -> Any:
+    space.seed(0)
+    samples = [space.sample() for _ in range(size)]
+    return {key: torch.as_tensor(np.stack([sample[key] for sample in samples])) for key in space.spaces}
+
+
+@pytest.mark.parametrize("visible", [None, 2])
+def test_goal_difference(torch, visible):
+    from shape_obs.training import GoalDifference
+
+    space = spaces.Dict({"observation": spaces.Box(-1.0, 1.0, (5,), np.float32), **goals(6)})
+    extractor = GoalDifference(space, visible)
+    seen = batch(torch, space)
+    size = visible or 6
+    features = extractor(seen)
+    assert features.shape == (4, extractor.features_dim) == (4, 5 + 2 * size)
+    desired, achieved = seen["desired_goal"][:, :size], seen["achieved_goal"][:, :size]
+    torch.testing.assert_close(features, torch.cat([seen["observation"], desired, desired - achieved], dim=1))
+    hidden = {**seen, "desired_goal": seen["desired_goal"].clone(), "achieved_goal": seen["achieved_goal"].clone()}
+    hidden["desired_goal"][:, size:] += 1
+    hidden["achieved_goal"][:, size:] -= 1
+    torch.testing.assert_close(extractor(hidden), features)
+
+
+def test_image_and_goal_reads_no_achieved_goal(torch):
+    from shape_obs.training import ImageAndGoal
+
+    image = spaces.Box(0, 255, (3, 40, 48), np.uint8)
+    space = spaces.Dict({"observation": image, **goals(6)})
+    extractor = ImageAndGoal(space, features=8)
+    seen = batch(torch, space)
+    seen["observation"] = seen["observation"].float() / 255  # as policies hand images on
+    features = extractor(seen)
+    assert features.shape == (4, extractor.features_dim) == (4, 14)
+    torch.testing.assert_close(features[:, 8:], seen["desired_goal"])
+    torch.testing.assert_close(extractor({**seen, "achieved_goal": 0 * seen["achieved_goal"]}), features)
+    assert not torch.allclose(extractor({**seen, "observation": 0 * seen["observation"]}), features)

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from goal_envs import RED, FlatGoalEnv
 
-from shape_obs import Centerline, ShapeGoal, ShapeObservation, SpecError, Target, record_goal
+from shape_obs import CameraModel, Centerline, ShapeGoal, ShapeObservation, SpecError, Target, record_goal
 from shape_obs.features import FeatureContext
 
 LINE = np.array([[-0.1, 0.0, 0.0], [0.0, 0.02, 0.0], [0.05, 0.03, 0.0], [0.1, 0.03, 0.0]])
@@ -79,13 +79,10 @@ def test_bare_points_are_metres_in_the_base_frame_and_are_resampled():
     [
         ([], r"points \(K,3\) or flat, metres in the base frame, got an array of shape \(0,\)"),
         ([[1.0, 2.0]], r"got an array of shape \(1, 2\); for another frame give Target\(points, frame='camera'\)"),
-        ([1.0, 2.0, 3.0, 4.0], r"got an array of shape \(4,\)"),
         ([[0.0, 0.0, np.nan]], r"expected 3 finite numbers a point in frame 'base', point 0 is \(0.0, 0.0, nan\)"),
         ({"points": []}, "goal: expected points, got none"),
         ({"points": LINE, "frame": "pixels"}, r"expected 2 finite numbers a point in frame 'pixels', point 0 is"),
-        ({"points": LINE, "frame": "world"}, r"Target.frame: unknown value 'world'"),
         ({"points": LINE, "fram": "base"}, r"Target: unknown field 'fram'; did you mean 'frame'\?"),
-        ({"frame": "base"}, r"Target: missing points"),
     ],
 )
 def test_what_is_no_goal_is_refused(goal, message):
@@ -96,28 +93,18 @@ def test_what_is_no_goal_is_refused(goal, message):
 def test_a_goal_that_does_not_fit_is_refused():
     env = observing(KINDS[0])
     view, spec = view_of(env), env.detector.shapes[0]
+    nowhere = FeatureContext(160, 120, CameraModel(FlatGoalEnv().camera_model.intrinsics))
     cases: list[tuple[Any, Any, str]] = [
         ({"points": LINE, "layout": {"kind": "contour"}}, view, r"a goal of kind 'contour' does not fit shape 'cent"),
         ({"points": LINE[:2]}, view, r"goal of a 'centerline': expected at least 3 points, got 2"),
         ({"points": LINE - [0, 0, 9], "frame": "camera"}, view, r"in front of the camera, got \[-0.1, 0.0, -9.0\]"),
-        (
-            {"points": LINE},
-            FeatureContext(160, 120),
-            r"frame 'base' needs a camera: let the env publish it, or pass camera=",
-        ),
-        (
-            {"points": 9 * LINE[:, :2], "frame": "pixels", "size": [640, 480]},
-            view,
-            r"image of 640 x 480, this one has 1",
-        ),
+        ({"points": LINE}, FeatureContext(160, 120), "frame 'base' needs a camera: let the env publish it, or pass"),
+        ({"points": LINE}, nowhere, "'base' needs the pose of the camera: give camera=CameraModel"),
+        ({"points": 9 * LINE[:, :2], "frame": "pixels", "size": [640, 480]}, view, "image of 640 x 480, this one"),
     ]
     for goal, seen, message in cases:
         with pytest.raises(ValueError, match=message):
             Target.read(goal).shape_for(spec, seen)
-    assert view.camera is not None
-    nowhere = FeatureContext(160, 120, type(view.camera)(view.camera.intrinsics))
-    with pytest.raises(ValueError, match=r"'base' needs the pose of the camera: give camera=CameraModel\(intrinsics"):
-        Target.read(LINE).shape_for(spec, nowhere)
     with pytest.raises(ValueError, match=r"equal gaps in metres: give its goal in metres too, not in pixels"):
         Target.read({"points": 99 * LINE[:, :2], "frame": "pixels"}).shape_for(Centerline(spacing="m"), view)
 
