@@ -90,9 +90,7 @@ def test_sigterm_ends_the_command_with_a_report_and_its_own_exit_code(tmp_path):
     ("arguments", "code", "message"),
     [
         ([], 2, "--robot module:Class is needed"),
-        (["--robot", "no_lab:Arm"], 1, "--robot: cannot import 'no_lab'"),
         (["--robot", "shape_obs_envs.robots:NullRobot"], 2, "--config FILE is needed"),
-        (["--robot", "shape_obs_envs.robots:NullRobot", "--robot-set", "sise=3"], 2, "does not take {'sise': 3}"),
         (
             ["--robot", "shape_obs_envs.robots:NullRobot", "--controller", "shape_obs.deploy:Swy"],
             2,

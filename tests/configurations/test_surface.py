@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sklearn.metrics import calinski_harabasz_score
 
 from shape_obs import Intrinsics, ShapeDetector, Surface
 from shape_obs.bench.scenes import Sheet, draw_sheet
+from shape_obs.metrics import calinski_harabasz, nearest
 from tests.benchmarks.scenes.sheets import random_sheet, rotation, true_lattice
 from tests.benchmarks.sheet_scores import ASPECTS, best_corner, by_the_rule
 
@@ -212,26 +212,13 @@ class TestRealMasks:
             assert "too slender" in one(mask).reason
 
 
-def lattice(mask: np.ndarray, epochs: int, ends: str = "tips") -> np.ndarray:
-    shape = ShapeDetector([{"kind": "surface", "epochs": epochs, "ends": ends}]).detect_mask(mask).shapes[0]
-    assert shape.ok, shape.reason
-    return shape.pixels.reshape(4, 8, 2)
-
-
-def clustering(mask: np.ndarray, centres: np.ndarray) -> float:
-    """Return the Calinski-Harabasz score of the mask's pixels about centres."""
-    pixels = np.argwhere(mask)[:, ::-1]
-    nearest = np.argmin(np.linalg.norm(pixels[:, None] - centres.reshape(1, -1, 2), axis=2), axis=1)
-    return float(calinski_harabasz_score(pixels, nearest))
-
-
-@pytest.fixture
-def trapezium() -> np.ndarray:
+def test_epochs_take_the_points_nearer_to_cluster_centres():
     """The cloth is wide at the left and narrow at the right: equal steps along its sides give unequal areas."""
     outline = np.array([[60, 40], [420, 130], [420, 210], [60, 300]], np.int32)
-    return cv2.fillPoly(np.zeros((340, 480), np.uint8), [outline], 255)
-
-
-def test_epochs_take_the_points_nearer_to_cluster_centres(trapezium):
-    scores = [clustering(trapezium, lattice(trapezium, epochs, "centers")) for epochs in (0, 1, 3)]
+    trapezium = cv2.fillPoly(np.zeros((340, 480), np.uint8), [outline], 255)
+    pixels, scores = np.argwhere(trapezium)[:, ::-1], []
+    for epochs in (0, 1, 3):
+        shape = one(trapezium, Surface(epochs=epochs))
+        assert shape.ok, shape.reason
+        scores.append(calinski_harabasz(pixels, nearest(pixels, shape.points2d)))
     assert scores[0] < scores[1] < scores[2]

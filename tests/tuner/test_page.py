@@ -89,22 +89,6 @@ def expect_text(page, selector, text):
     sync_api.expect(page.locator(selector).first).to_contain_text(text, timeout=PATIENCE)
 
 
-def pink_pixels(page) -> int:
-    """Return how many pixels of the picture that the browser shows have the tint of a mask."""
-    data = page.evaluate(
-        """() => { const image = document.querySelector('.tune-pick img');
-        const canvas = document.createElement('canvas');
-        canvas.width = image.naturalWidth; canvas.height = image.naturalHeight;
-        const drawing = canvas.getContext('2d'); drawing.drawImage(image, 0, 0);
-        const pixels = drawing.getImageData(0, 0, canvas.width, canvas.height).data;
-        let count = 0;
-        for (let i = 0; i < pixels.length; i += 4)
-          if (pixels[i] > pixels[i + 1] + 50 && pixels[i + 2] > pixels[i + 1] + 50) count++;
-        return count; }"""
-    )
-    return int(data)
-
-
 def detected(capsys, photo, config, out):
     """Return the points that ``shape-obs detect`` prints."""
     with pytest.raises(SystemExit) as stop:
@@ -121,11 +105,8 @@ def test_from_a_click_to_a_file_that_gives_the_same_points(browser, which, drawn
     with serving(photo, "--save", tmp_path / "shape.yaml") as served:
         page = opened(browser, served.url)
         expect_text(page, ".found", "Click on the object")
-        assert pink_pixels(page) < 200
         click_at(page, *pixel)
         expect_text(page, ".found", "20 points, all visible")
-        page.wait_for_timeout(500)
-        assert pink_pixels(page) > 4000
 
         for _ in range(5):
             press(page.get_by_role("slider", name="Points N"), "ArrowRight")
@@ -207,19 +188,6 @@ def test_a_recording_ends_and_is_scrubbed(browser, photos, tmp_path):
         page.get_by_role("button", name="Play").click()
         expect_text(page, ".q-badge", "playing")
         expect_text(page, ".q-badge", "ended")
-
-
-@pytest.mark.nightly
-def test_read_only_shows_and_saves_nothing(browser, photos, tmp_path):
-    before = (tmp_path / "blue.yaml").read_text()
-    with serving(photos, "--config", tmp_path / "blue.yaml", "--read-only") as served:
-        page = opened(browser, served.url)
-        expect_text(page, ".found", "20 points")
-        expect_text(page, ".q-badge", "read-only")
-        click_at(page, 5, 5)
-        sync_api.expect(page.get_by_role("button", name="Save")).to_be_disabled(timeout=PATIENCE)
-        expect_text(page, ".found", "20 points")
-    assert (tmp_path / "blue.yaml").read_text() == before
 
 
 def test_a_camera_that_is_unplugged_and_a_page_that_is_closed(browser, tmp_path):

@@ -67,21 +67,6 @@ def test_a_port_in_use_is_one_clear_line(capsys, photo):
     assert f"--port {port + 1}" in error
 
 
-def test_a_bad_config_and_a_missing_source_are_one_clear_line(capsys, photo, tmp_path):
-    (tmp_path / "bad.yaml").write_text("version: 1\nscene: {segmentation: {kind: hsv, low: [1, 2}")
-    (tmp_path / "wrong.yaml").write_text("version: 1\nscene: {segmentation: {kind: hvs}}")
-    for arguments, words in (
-        ((photo, "--config", tmp_path / "bad.yaml"), "bad.yaml"),
-        ((photo, "--config", tmp_path / "wrong.yaml"), "hsv"),
-        ((tmp_path / "none.mp4",), "no such file"),
-        (("d544",), "d455"),
-    ):
-        code, error = failed(capsys, *arguments, "--no-open")
-        assert code == 1
-        assert words in error
-        assert error.count("\n") == 1, error
-
-
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.nightly)])
 def test_it_shows_the_photo_only_to_this_machine_until_a_signal_ends_it_and_frees_the_port(photo, number):
