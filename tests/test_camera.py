@@ -126,10 +126,8 @@ def test_the_pose_is_a_copy_that_cannot_be_written():
     ("change", "message"),
     [
         ({"fx": 0.0}, "fx and fy must lie in 0.001...1e.09 pixels, got 0.0 and 635.9"),
-        ({"fy": 1e10}, "fx and fy must lie in 0.001...1e.09 pixels, got 636.5 and 10000000000.0"),
         ({"cx": float("nan")}, "cx and cy must lie in .-1e.09 pixels, got nan and 407.8"),
         ({"width": 0}, "width and height must be positive, got 0 x 800"),
-        ({"width": 640.5}, r"Intrinsics.width: expected int, got 640.5 \(float\)"),
         ({"coeffs": (0.1, 0.2)}, r"coeffs must be five numbers \(k1, k2, p1, p2, k3\) in .-1e.06, got \(0.1, 0.2\)"),
         ({"model": "brown_conradi"}, "unknown value 'brown_conradi'; did you mean 'brown_conrady'"),
     ],

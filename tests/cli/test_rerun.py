@@ -91,15 +91,6 @@ def test_a_recording_is_logged_while_it_is_made_and_shown_in_space(place, run):
     assert read_rrd(place / "r.rrd", "/camera", "Transform3D:translation"), "the pose of the camera"
 
 
-def test_a_demo_is_logged(place, run):
-    pytest.importorskip("mujoco")
-    code, _, err = run("demo", "--steps", "3", "--camera", "rl", "--renderer", "rays", "--rerun", "--out", "d")
-    assert code == 0, err
-    found = entities(place / "d" / "demo.rrd")
-    assert {"/camera/shapes/centerline/points", "/camera/image/goals", "/camera/image/mask"} <= found
-    assert "/plots/features/centerline/points3d" in found
-
-
 @pytest.mark.parametrize(
     ("arguments", "exit_code", "message"),
     [

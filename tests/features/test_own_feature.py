@@ -30,8 +30,8 @@ def _right():
     SWITCH.update(RIGHT)
 
 
-def wrapped(feature: Any = "test_own") -> ShapeObservation:
-    return ShapeObservation(RopeEnv(), segmentation=BLUE, features=["ok", feature])
+def wrapped() -> ShapeObservation:
+    return ShapeObservation(RopeEnv(), segmentation=BLUE, features=["ok", "test_own"])
 
 
 @pytest.mark.parametrize(
@@ -80,24 +80,14 @@ def test_wrong_values_are_an_error_in_every_frame(values, error, message, when):
 @pytest.mark.parametrize(
     ("values", "expected", "message"),
     [
-        (
-            np.array([0.5, np.nan]), [0.5, 0.5],
-            "feature 'test_own' of shape 'centerline': value 1 is nan though all points of the shape are known, and is "
-            "replaced by the middle of its bounds. This warning is shown once.",
-        ),
-        (np.array([-np.inf, 0.5]), [0.5, 0.5], "'centerline': value 0 is -inf though all points of the shape are"),
-        (
-            np.array([0.5, 7.0]), [0.5, 1.0],
-            "features: 1 of 3 values lie outside their bounds and are clipped, first value 1 of feature 'test_own' of "
-            "shape 'centerline': 7, bounds 0 ... 1.",
-        ),
+        ([0.5, np.nan], [0.5, 0.5], "'test_own' of shape 'centerline': value 1 is nan though all points of the"),
+        ([-np.inf, 0.5], [0.5, 0.5], "value 0 is -inf though all points of the shape are known, and is replaced"),
+        ([0.5, 7.0], [0.5, 1.0], "1 of 3 values lie outside their bounds and are clipped, first value 1 of feature"),
     ],
-)  # fmt: skip
-def test_values_that_no_feature_should_return_are_a_warning_once_and_the_observation_stays_valid(
-    values, expected, message
-):
+)
+def test_values_that_no_feature_should_return_are_a_warning_once(values, expected, message):
     env = wrapped()
-    SWITCH["compute"] = values
+    SWITCH["compute"] = np.array(values)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         observation, _ = env.reset(seed=0)

@@ -1,4 +1,4 @@
-"""Crossings of polylines against exact arithmetic, at vertices and tips; the codes of several ropes."""
+"""Crossings of polylines at vertices, at tips and where strands touch; the codes of several ropes."""
 
 from __future__ import annotations
 

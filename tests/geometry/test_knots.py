@@ -76,17 +76,6 @@ def test_drawn_knots(k):
         assert not knot.knotted
 
 
-@pytest.mark.parametrize("k", range(0, COUNT, 5))
-def test_moves_and_the_arc_leave_the_polynomial(k):
-    knot, crossings = drawn(k)
-    whole = jones(crossings)
-    assert jones_polynomial(with_arc(reduced(diagram(crossings)), 0)) == whole
-    in_t = JONES.get(knot.name, {0: 1} if not knot.knotted else None)
-    if in_t is not None:
-        one, other = (product({sign * 4 * p: x for p, x in in_t.items()}, CIRCLE) for sign in (1, -1))
-        assert whole in (one, other)
-
-
 def test_the_polynomial_is_the_sum_over_all_smoothings():
     compared = 0
     for k in range(0, COUNT, 2):

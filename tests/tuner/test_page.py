@@ -151,30 +151,6 @@ def test_a_phone_and_a_laptop_show_the_same_within_their_width(browser, drawn, t
 
 
 @pytest.mark.nightly
-def test_an_area_is_dragged(browser, drawn, tmp_path):
-    with serving(drawn, "--save", tmp_path / "shape.yaml") as served:
-        page = opened(browser, served.url)
-        click_at(page, 205, 330)
-        expect_text(page, ".found", "20 points")
-        page.get_by_role("button", name="Area", exact=True).click()
-        image = page.locator(".tune-area img")
-        sync_api.expect(image).to_be_visible(timeout=PATIENCE)
-        page.wait_for_timeout(300)
-        box = image.bounding_box()
-        page.mouse.move(box["x"] + 0.05 * box["width"], box["y"] + 0.1 * box["height"])
-        page.mouse.down()
-        page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"], steps=4)
-        page.mouse.move(box["x"] + 0.95 * box["width"], box["y"] + 0.9 * box["height"], steps=4)
-        page.mouse.up()
-        sync_api.expect(page.get_by_role("button", name="Whole image")).to_be_enabled(timeout=PATIENCE)
-        page.get_by_role("button", name="Save").click()
-        expect_text(page, ".q-dialog", "Saved")
-    roi = load_config(tmp_path / "shape.yaml")["roi"]
-    assert roi["kind"] == "rectangle"
-    np.testing.assert_allclose([roi[name] for name in ("left", "top", "width", "height")], [32, 48, 576, 384], atol=3)
-
-
-@pytest.mark.nightly
 def test_a_recording_ends_and_is_scrubbed(browser, photos, tmp_path):
     with serving(photos, "--config", tmp_path / "blue.yaml") as served:
         page = opened(browser, served.url)

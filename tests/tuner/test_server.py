@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import socket
-import subprocess
-import sys
 import urllib.error
 import urllib.request
 
@@ -14,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from installed import needs
-from tuner_page import COMMAND, serving
+from tuner_page import serving
 
 from shape_obs.cli import main
 
@@ -100,12 +98,3 @@ def test_another_host_needs_the_token(photo):
         cookie = f"shape_obs_tune_{port}={token}"
         assert status(local + "newest.jpg", Cookie=cookie) == 200
         assert websocket_status(port, cookie) == 101
-
-
-@pytest.mark.nightly
-def test_a_missing_extra_is_named(photo):
-    script = f"import sys; sys.modules['nicegui'] = None; {COMMAND}"
-    command = [sys.executable, "-c", script, "tune", str(photo), "--port", "0", "--no-open"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 1
-    assert 'pip install ".[tune]"' in done.stderr
