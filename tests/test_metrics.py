@@ -81,11 +81,6 @@ class TestCoverage:
         half = wave.curve[: len(wave.curve) // 2 : 4]
         assert coverage(half, Chain(len(half)), pixels, reach) == pytest.approx(0.5, abs=0.03)
 
-    def test_a_ring_is_closed(self):
-        square, pixels = np.array([[0.0, 0], [10, 0], [10, 10], [0, 10]]), np.stack([np.zeros(11), np.arange(11.0)], 1)
-        assert coverage(square, Ring(4), pixels, 0.1) == 1
-        assert coverage(square, Chain(4), pixels, 0.1) == pytest.approx(2 / 11)
-
     @pytest.mark.parametrize("height", [None, 0.0, 0.4])
     def test_a_lattice_covers_its_cells(self, height):
         lattice = np.stack(np.meshgrid(np.arange(5.0) * 4, np.arange(3.0) * 4), axis=-1).reshape(-1, 2)

@@ -72,17 +72,6 @@ def test_results_table_and_pictures_of_what_is_done(study_file, clean, capsys):
     assert result["next"].startswith("it is for simulation only: "), "its arms read the simulator's state"
 
 
-@pytest.mark.nightly
-def test_the_path_of_the_policy_and_the_next_command_are_printed(tmp_path, capsys):
-    study = written(tmp_path / "seen.yaml", arms={"points3d": {}}, seeds=[3])
-    assert run(study, "--out", tmp_path / "o") == 0
-    path = tmp_path / "o" / "points3d" / "seed3" / "trained.policy"
-    lines = capsys.readouterr().out.splitlines()[-2:]
-    assert lines[0] == f"best policy: {path}"
-    assert lines[1].startswith(f"next: shape-obs deploy {path} --source robot --robot ")
-    assert path.is_file()
-
-
 def test_every_run_leaves_a_policy_that_can_be_deployed(clean):
     from shape_obs.deploy.policy_bundle import load_bundle
 

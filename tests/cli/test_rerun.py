@@ -11,7 +11,6 @@ pytest.importorskip("rerun")
 from rerun_reading import entities, points, read_rrd
 
 from shape_obs import save_config
-from shape_obs.cli.rerun_option import with_rerun_value
 from shape_obs.recording import ShapeTable
 
 BLUE = {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}
@@ -36,19 +35,6 @@ def place(tmp_path, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     return tmp_path
-
-
-@pytest.mark.parametrize(
-    ("given", "read"),
-    [
-        (["replay", "rope", "--rerun"], ["replay", "rope", "--rerun", "auto"]),
-        (["--rerun", "rope", "--json"], ["--rerun", "auto", "rope", "--json"]),
-        (["--rerun=a.rrd", "rope"], ["--rerun=a.rrd", "rope"]),
-        (["--rerun", "rerun+http://host:9876/proxy"], ["--rerun", "rerun+http://host:9876/proxy"]),
-    ],
-)
-def test_the_value_of_the_option_may_be_left_out(given, read):
-    assert with_rerun_value(given) == read
 
 
 def test_a_replay_logs_the_points_of_its_table(place, run):

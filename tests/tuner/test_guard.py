@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from typing import Any
 
 import pytest
 
@@ -33,7 +34,8 @@ def test_this_machine_needs_no_token_and_pages_of_another_origin_are_refused(kin
     refused = 403 if kind == "http" else 1008
     for host in ("127.0.0.1:8600", "localhost:8600", "[::1]:8600", "localhost"):
         assert answer(None, kind=kind, host=host)[0] == 200
-    for headers in ({}, {"host": "evil.example:8600"}, {"host": "localhost:8600", "origin": "http://evil.example"}):
+    others: list[Any] = [{"host": "evil.example:8600"}, {"host": "localhost:8600", "origin": "http://evil.example"}]
+    for headers in [{}, *others]:
         assert answer(None, kind=kind, **headers)[0] == refused
 
 

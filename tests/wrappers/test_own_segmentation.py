@@ -14,6 +14,7 @@ from rope_env import BLUE, RopeEnv
 from shape_obs import Centerline, ShapeObservation, SpecError
 from shape_obs.image.mask_function import MaskFunction
 
+ROPES = Centerline(name="rope", count=2)
 MODULE = """
 import numpy as np
 
@@ -66,18 +67,15 @@ def test_the_env_is_rebuilt_from_its_spec(rope, module, given):
     np.testing.assert_array_equal(gym.make(EnvSpec.from_json(text)).reset(seed=1)[0], expected)
 
 
-@pytest.mark.parametrize("arguments", ["segmentation", "shape", "mapping"])
-def test_a_function_without_an_import_path_is_refused_when_the_wrapper_is_made(arguments):
+def test_a_function_without_an_import_path_is_refused_when_the_wrapper_is_made():
     def mask(rgb, depth):
         return rgb[..., 2] > 100
 
-    given: Any = {
-        "segmentation": {"segmentation": mask},
-        "shape": {"shapes": [Centerline(segmentation=MaskFunction(mask))]},
-        "mapping": {"shapes": [{"kind": "centerline", "segmentation": mask}]},
-    }[arguments]
-    with pytest.raises(SpecError, match=r"segmentation: <function .* cannot be saved or recorded, since it has no"):
-        ShapeObservation(RopeEnv(), **given)
+    shapes = Centerline(segmentation=MaskFunction(mask)), {"kind": "centerline", "segmentation": mask}
+    arguments: list[dict[str, Any]] = [{"segmentation": mask}, *({"shapes": [shape]} for shape in shapes)]
+    for given in arguments:
+        with pytest.raises(SpecError, match=r"segmentation: <function .* cannot be saved or recorded, since it has no"):
+            ShapeObservation(RopeEnv(), **given)
 
 
 def test_a_wrong_mask_is_named_in_reset(rope, module):
@@ -86,25 +84,9 @@ def test_a_wrong_mask_is_named_in_reset(rope, module):
         env.reset()
 
 
-class Publishing(RopeEnv):
-    @property
-    def shape_obs_defaults(self):
-        return {"segmentation": BLUE}
-
-
-class TestWithoutSegmentation:
-    MESSAGE = "ShapeObservation: shape 'centerline' has no segmentation, so no frame would be understood. Pass segmen"
-
-    def test_it_is_an_error_when_the_wrapper_is_made(self):
-        with pytest.raises(ValueError, match=self.MESSAGE):
-            ShapeObservation(RopeEnv())
-        with pytest.raises(ValueError, match="ShapeObservation: shape 'b' has no segmentation"):
-            ShapeObservation(
-                RopeEnv(), [{"kind": "centerline", "name": "a", "segmentation": BLUE}, Centerline(name="b")]
-            )
-        with pytest.raises(ValueError, match="ShapeObservation: shape 'rope' has no segmentation"):
-            ShapeObservation(RopeEnv(), [Centerline(name="rope", count=2)])
-
-    def test_a_segmentation_of_the_env_or_of_each_shape_is_enough(self):
-        assert ShapeObservation(Publishing()).reset()[1]["shape/ok"]
-        assert ShapeObservation(RopeEnv(), [{"kind": "centerline", "segmentation": BLUE}]).reset()[1]["shape/ok"]
+def test_a_shape_without_a_segmentation_is_an_error_when_the_wrapper_is_made():
+    blue = {"kind": "centerline", "name": "a", "segmentation": BLUE}
+    for shapes, name in ((["centerline"], "centerline"), ([blue, "centerline"], "centerline"), ([ROPES], "rope")):
+        with pytest.raises(ValueError, match=f"shape '{name}' has no segmentation, so no frame would be understood"):
+            ShapeObservation(RopeEnv(), shapes)
+    assert ShapeObservation(RopeEnv(), [blue]).reset()[1]["shape/ok"]
