@@ -127,14 +127,11 @@ class TestSigmaOfADetector:
                 last = sigma
             np.testing.assert_allclose(last, bound, rtol=1e-6)
 
-    def test_what_was_never_found_may_be_anywhere(self, wave, intrinsics):
-        empty = np.zeros_like(wave.mask)
-        assert (ShapeDetector().detect_mask(empty).shapes[0].sigma == np.float32(400)).all()
-        shape = ShapeDetector().detect_mask(empty, np.full(empty.shape, 0.7), intrinsics).shapes[0]
-        assert (shape.sigma == 1).all()
-
-    def test_pixels_are_not_metres(self, wave, intrinsics):
+    def test_what_was_never_found_may_be_anywhere_and_pixels_are_not_metres(self, wave, intrinsics):
         """A shape found without depth and lost with it is held in pixels; where it is in space is not known."""
-        detector, depth = ShapeDetector(), np.full(wave.mask.shape, 0.7)
+        empty, depth = np.zeros_like(wave.mask), np.full(wave.mask.shape, 0.7)
+        assert (ShapeDetector().detect_mask(empty).shapes[0].sigma == np.float32(400)).all()
+        detector = ShapeDetector()
+        assert (detector.detect_mask(empty, depth, intrinsics).shapes[0].sigma == 1).all()
         detector.detect_mask(wave.mask)
-        assert (detector.detect_mask(np.zeros_like(wave.mask), depth, intrinsics).shapes[0].sigma == 1).all()
+        assert (detector.detect_mask(empty, depth, intrinsics).shapes[0].sigma == 1).all()

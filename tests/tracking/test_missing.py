@@ -121,12 +121,3 @@ def test_held_points_in_space_are_held_too(wave, empty, intrinsics):
         held = detector.detect_mask(*frame, intrinsics).shapes[0]
         assert held.reason
         np.testing.assert_array_equal(held.points3d, seen.points3d)
-
-
-def test_one_lost_shape_does_not_take_the_others_with_it(wave):
-    shapes = [
-        Centerline(name="here"),
-        {"kind": "centerline", "name": "gone", "segmentation": {"kind": "gray", "min_area": 100_000}},
-    ]
-    detection = ShapeDetector(shapes).detect_mask(wave.mask)  # type: ignore[arg-type]
-    assert (detection["here"].ok, detection["gone"].ok, detection.ok) == (True, False, False)
