@@ -5,13 +5,13 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-
-pytest.importorskip("rerun")
-
+from installed import needs
 from rerun_reading import entities, points, read_rrd
 
 from shape_obs import save_config
 from shape_obs.recording import ShapeTable
+
+pytestmark = needs("rerun")
 
 BLUE = {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}
 CABLE = ["--set", "actions=random", "seed=2", "renderer=rays", "camera=[96, 72]"]

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import sys
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from installed import needs
 from rerun_reading import points, read_rrd
 
 import shape_obs
 from shape_obs import Centerline, HSVRange, Intrinsics, ShapeDetector
 from shape_obs.drawing import HIDDEN, VALID, VISIBLE
 
-rr: Any = pytest.importorskip("rerun")
+pytestmark = needs("rerun")
 
 SIZE = (120, 160)
 QUALITY = "/plots/quality/rope", "Scalars:scalars"
@@ -35,6 +35,8 @@ def frame(shift: float = 0.0, *, rope: bool = True):
 
 @pytest.fixture
 def stream(tmp_path):
+    import rerun as rr
+
     recording = rr.RecordingStream("test")
     recording.save(str(tmp_path / "log.rrd"))
     return recording, tmp_path / "log.rrd"
@@ -135,6 +137,8 @@ def test_features_have_the_names_of_their_components(stream):
 
 
 def test_the_recording_of_init_is_used(tmp_path, monkeypatch):
+    import rerun as rr
+
     monkeypatch.setattr(rr, "get_global_data_recording", lambda: None)
     with pytest.raises(ValueError, match=r'call rerun\.init\("my_app", spawn=True\) first'):
         shape_obs.log_rerun(None)

@@ -9,13 +9,13 @@ import time
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rerun")
-
+from installed import needs
 from rerun_reading import read_rrd
 
 from shape_obs.drawing import RerunLog
 from shape_obs.drawing.rerun_stream import RerunStream, address
+
+pytestmark = needs("rerun")
 
 SERVER = """
 import sys, time, rerun

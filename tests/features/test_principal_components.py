@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from known_ropes import EVERYWHERE, MODELS, WORKSPACE, N, fit, off, ropes, seen
 from rope_env import run, wrapped
-from sklearn.decomposition import PCA
 
 from shape_obs import schema_hash
 from shape_obs.features import FeatureContext, PointDistribution, PrincipalComponents
@@ -27,6 +26,8 @@ def file(tmp_path) -> str:
 
 class TestModel:
     def test_whole_shapes_have_scikit_learns_coefficients(self):
+        from sklearn.decomposition import PCA
+
         known, new = ropes(200), ropes(20, seed=1)
         pca = PCA(4, svd_solver="full").fit(known.reshape(200, -1))
         model = fit(known)

@@ -7,16 +7,16 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from env_checks import check_both
 from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
-
-pytest.importorskip("mujoco")
-
-from env_checks import check_both
+from installed import needs
 
 import shape_obs_envs  # noqa: F401
 from shape_obs import ShapeGoal, ShapeObservation
 from shape_obs.training import Curriculum, Pixels, PointReward, Shuffled, TrueState
+
+pytestmark = needs("mujoco")
 
 DIFFICULTIES = ("near", "middle", "far")
 POINTS = {"kind": "points3d", "frame": "base"}

@@ -11,15 +11,15 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.envs.registration import EnvSpec
-
-pytest.importorskip("mujoco")
-
 from env_checks import check_both
+from gymnasium.envs.registration import EnvSpec
+from installed import needs
 
 import shape_obs_envs  # noqa: F401
 from shape_obs import ShapeObservation
 from shape_obs.features import Points3D
+
+pytestmark = needs("mujoco")
 
 ACTIONS = np.random.default_rng(5).uniform(-1, 1, (6, 6)).astype(np.float32)
 
