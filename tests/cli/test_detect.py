@@ -158,9 +158,8 @@ def test_a_surface_has_rows_and_columns(tmp_path, run):
 def test_an_outline_has_a_number_of_points_and_the_config_keeps_it(tmp_path, run):
     photo, config = towel(tmp_path), tmp_path / "c.yaml"
     place = ["--out", tmp_path / "o"]
-    code, out, _ = run(
-        "detect", photo, "--pick", "150,120", "--shape", "contour", "--n", "16", "--save-config", config, *place
-    )
+    learned = ["--pick", "150,120", "--shape", "contour", "--n", "16", "--save-config", config]
+    code, out, _ = run("detect", photo, *learned, *place)
     (drawn,) = json.loads(out)["shapes"]
     assert (code, drawn["name"], len(drawn["points2d"])) == (0, "contour", 16)
     _, out, _ = run("detect", photo, "--config", config, *place)

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from known_ropes import WORKSPACE, N, fit, ropes, seen
+from known_ropes import WORKSPACE, N, ropes, seen
 from rope_env import BLUE
 
 from shape_obs import Shape, ShapeDetector, save_config
@@ -92,18 +92,14 @@ def test_mistakes_are_reported_in_a_line(run, table, tmp_path):
     save("t", table.columns, table.metadata)
     save("blind", table.columns, {**table.metadata, "camera": None})
     save("flat", {name: each for name, each in table.columns.items() if "points3d" not in name}, table.metadata)
-    save("few", {name: column[:3] for name, column in table.columns.items()}, table.metadata)
     save("other", table.columns, {**table.metadata, "config": table.metadata["config"].replace("n: 20", "n: 21")})
-    fit().save(tmp_path / "fitted.npz")
     save_config(tmp_path / "c.yaml", {"segmentation": BLUE})
     for sources, extra, message in (
         (["t.npz"], ("--name", "rop"), "has no shape 'rop'; did you mean 'rope'"),
         (["t.npz"], ("--components", 70), "components: expected 1 to 59"),
         (["blind.npz"], BASE, "--frame base needs the camera's intrinsics, and the table has none"),
         (["flat.npz"], BASE, "the shape has no points3d"),
-        (["few.npz"], BASE, "only 3 shapes are complete, 0 are not: record more"),
         (["t.npz", "other.npz"], BASE, "is Chain(count=21), but Chain(count=20) came before"),
-        (["fitted.npz"], BASE, "not a table of shapes"),
         ([""], (), "is not a table (.npz, .parquet, .csv): give --config FILE"),
         ([""], ("--config", tmp_path / "c.yaml"), "found neither"),
     ):

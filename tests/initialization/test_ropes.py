@@ -67,12 +67,6 @@ def test_a_rope_that_the_mask_cuts_is_joined():
     assert all(rope.curve.size > 240 for rope in found)
 
 
-def test_ropes_that_end_far_apart_are_not_joined():
-    mask = lines(((30, 60), (290, 60)))
-    mask[:, 130:180] = 0
-    assert len(ropes(mask)) == 2
-
-
 def test_a_gap_that_two_ropes_could_fill_is_left():
     found = ropes(lines(((20, 120), (140, 120)), ((165, 112), (300, 60)), ((165, 128), (300, 180))))
     assert len(found) == 3
