@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import sys
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from installed import needs
 from rerun_reading import points, read_rrd
 
 import shape_obs
 from shape_obs import Centerline, HSVRange, Intrinsics, ShapeDetector
 from shape_obs.drawing import HIDDEN, VALID, VISIBLE
-
-pytestmark = needs("rerun")
 
 SIZE = (120, 160)
 QUALITY = "/plots/quality/rope", "Scalars:scalars"
@@ -34,9 +32,13 @@ def frame(shift: float = 0.0, *, rope: bool = True):
 
 
 @pytest.fixture
-def stream(tmp_path):
-    import rerun as rr
+def rr() -> Any:
+    """Return the module; collecting the tests does not load it."""
+    return pytest.importorskip("rerun")
 
+
+@pytest.fixture
+def stream(tmp_path, rr):
     recording = rr.RecordingStream("test")
     recording.save(str(tmp_path / "log.rrd"))
     return recording, tmp_path / "log.rrd"
@@ -136,9 +138,7 @@ def test_features_have_the_names_of_their_components(stream):
         assert [*read_rrd(path, f"/plots/features/{feature}", "SeriesLines:names").values()] == [names]
 
 
-def test_the_recording_of_init_is_used(tmp_path, monkeypatch):
-    import rerun as rr
-
+def test_the_recording_of_init_is_used(tmp_path, monkeypatch, rr):
     monkeypatch.setattr(rr, "get_global_data_recording", lambda: None)
     with pytest.raises(ValueError, match=r'call rerun\.init\("my_app", spawn=True\) first'):
         shape_obs.log_rerun(None)
