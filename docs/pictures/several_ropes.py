@@ -10,7 +10,6 @@ from shape_obs import Centerline, Detection, ShapeDetector
 from shape_obs.drawing import draw_curve, draw_detection, draw_text, slot_colours
 from tests.benchmarks.scenes.moving_ropes import moving_ropes
 from tests.benchmarks.scenes.several_ropes import several_ropes
-from tests.benchmarks.several import detect_scene
 
 N = 20
 FEW = 10  # points of the tracked ropes
@@ -21,7 +20,8 @@ CLOSE = (slice(480, 960), slice(500, 1140))  # of a picture twice as large
 def stages() -> np.ndarray:
     """Draw a scene, its slots, and its crossings."""
     scene = several_ropes(np.random.default_rng([1, 44]), 4, 7, (480, 640), 10.0)
-    detection = detect_scene(scene, Centerline(n=N, name="rope", count="all", ends="tips"))
+    detector = ShapeDetector([Centerline(n=N, name="rope", count="all", ends="tips")])
+    detection = detector.detect_mask(scene.mask, rgb=scene.rgb)
     slots = scene.rgb.copy()
     for shape in detection:
         draw_curve(slots, shape.pixels.astype(np.float64), slot_colours(detection)[shape.name], thickness=4)

@@ -6,21 +6,22 @@ is large enough to be clicked, or the last click is used up.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.bench.photos import BLUE, photographs
+from shape_obs.bench.scenes import moving_rope
 from shape_obs.configurations.centerline import Centerline
 from shape_obs.detector import ShapeDetector
 from shape_obs.frame import Frame
-from shape_obs.image.click_regions import connected
 from shape_obs.image.colour_picker import propose_segmentation
 from shape_obs.image.find_region import segment
 from shape_obs.image.roi import Whole, Window
-from shape_obs.image.segmentation import HUES, HSVRange, Segmentation
+from shape_obs.image.segmentation import Segmentation
 from tests.benchmarks.claim import Claim, Limit
 from tests.benchmarks.scenes.object_photos import ObjectPhoto, object_photos
 from tests.benchmarks.tables import Row, median, of, percent
@@ -34,8 +35,6 @@ GOOD: Final = 0.7  # intersection over union
 _DEEP: Final = 1.9  # pixels from the border of an error to where it is clicked, at least
 _MIDDLE: Final = 0.5  # of the largest distance from the border: how far in the middle the first click is
 _WIDEST: Final = 12.0  # pixels from the border that are middle enough
-_COLOURFUL: Final = 60  # saturation from which hue means something
-_REACH: Final = 12  # of hues
 
 
 def first_click(rng: np.random.Generator, mask: Mask) -> Pixel:
@@ -75,43 +74,12 @@ def _ours(rgb: Image, picks: Pixels, nots: Pixels) -> Mask:
         return np.zeros(rgb.shape[:2], np.bool_)
 
 
-def _one_range(rgb: Image, picks: Pixels, nots: Pixels) -> Mask:
-    return _seen(rgb, hsv_range(rgb, picks[0]))
-
-
 def _seen(rgb: Image, rule: Segmentation) -> Mask:
     """Return what a detector sees of an image through a rule."""
     region = segment(Frame(rgb), Window(0, 0, rgb.shape[1], rgb.shape[0]), rule, Whole())
     mask = np.zeros(rgb.shape[:2], np.bool_)
     mask[region.window.slices] = region.mask > 0
     return mask
-
-
-def hsv_range(rgb: Image, pixel: Pixel) -> HSVRange:
-    """Return the range that holds nearly all pixels that are connected with a pixel and resemble it.
-
-    By hue where the pixel has a colour, by saturation and brightness where it is gray.
-    """
-    u, v = round(pixel[0]), round(pixel[1])
-    hsv = cv2.cvtColor(rgb, cv2.COLOR_RGB2HSV)
-    patch = hsv[max(v - 3, 0) : v + 4, max(u - 3, 0) : u + 4].reshape(-1, 3)
-    like = patch[np.linalg.norm(patch.astype(float) - hsv[v, u], axis=1) < 60]
-    angle = np.angle(np.mean(np.exp(2j * np.pi * like[:, 0] / HUES)))
-    hue, saturation, value = float(angle / (2 * np.pi) * HUES % HUES), *np.median(like[:, 1:], axis=0)
-    turned = (hsv[..., 0].astype(np.int16) - round(hue) + HUES // 2) % HUES - HUES // 2
-    colourful = saturation >= _COLOURFUL
-    if colourful:
-        rule = (np.abs(turned) <= _REACH) & (hsv[..., 1] >= 0.5 * saturation) & (hsv[..., 2] >= 0.35 * value)
-    else:
-        rule = (hsv[..., 1] <= saturation + 40) & (np.abs(hsv[..., 2] - value) <= 35)
-    piece = connected(np.asarray(rule), (u, v)) if rule[v, u] else rule
-    low, high = np.percentile(hsv[piece][:, 1:], (1, 99), axis=0)
-    if not colourful:
-        (s0, v0), (s1, v1) = np.clip([low - 10, high + 15], 0, 255).astype(int).tolist()
-        return HSVRange((0, s0, v0), (HUES - 1, s1, v1))
-    near, far = np.percentile(turned[piece], (1, 99))
-    least = np.clip(low * (0.85, 0.7), 20, 255).astype(int).tolist()
-    return HSVRange(((round(hue + near) - 5) % HUES, *least), ((round(hue + far) + 5) % HUES, 255, 255))
 
 
 def _grab_cut(rgb: Image, picks: Pixels, nots: Pixels) -> Mask:
@@ -126,14 +94,10 @@ def _grab_cut(rgb: Image, picks: Pixels, nots: Pixels) -> Mask:
     return (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
 
 
-METHODS: Final[dict[str, Callable[[Image, Pixels, Pixels], Mask]]] = {
-    "ours": _ours, "one hue range": _one_range, "GrabCut": _grab_cut,
-}  # fmt: skip
+METHODS: Final[dict[str, Callable[[Image, Pixels, Pixels], Mask]]] = {"ours": _ours, "GrabCut": _grab_cut}
 
 
-def click(
-    scene: tuple[int, ObjectPhoto], methods: Iterable[str] = ("ours", "one hue range", "GrabCut")
-) -> Iterator[Row]:
+def click(scene: tuple[int, ObjectPhoto]) -> Iterator[Row]:
     """Segment a photo with one, two and three clicks, the same first click for all methods.
 
     Yields:
@@ -142,8 +106,7 @@ def click(
     """
     number, photo = scene
     start = first_click(np.random.default_rng(number), photo.mask)
-    for name in methods:
-        method = METHODS[name]
+    for name, method in METHODS.items():
         picks, nots = list[Pixel](), list[Pixel]()
         found, ms = photo.mask, 0.0
         for count in (1, 2, 3):
@@ -157,22 +120,18 @@ def click(
 
 
 def frame_costs(frames: int) -> Iterator[Row]:
-    """Detect a blue rope that sways on a gray table by clicked colours and by a range of hues, in turns."""
-    rng, images = np.random.default_rng(0), []
-    ground = np.clip(rng.normal(190, 4, (480, 640, 3)), 0, 255)
-    for k in range(frames + 20):
-        along = np.linspace(60, 580, 200)
-        curve = np.stack([along, 240 + 4 * np.sin(k / 9) * np.sin((along - 320) / 60)], axis=1)
-        image = ground.copy()
-        cv2.polylines(image, [np.round(curve * 16).astype(np.int32)], False, (30.0, 70.0, 170.0), 13, cv2.LINE_AA, 4)
-        images.append(image.astype(np.uint8))
-    pixel = (320.0, 240.0)
-    rules = {"hue range": hsv_range(images[0], pixel), "clicked colours": propose_segmentation(images[0], [pixel]).rule}
+    """Detect a blue rope that moves on a gray table by clicked colours and by a range of hues, in turns."""
+    rng = np.random.default_rng(0)
+    ropes = list(moving_rope(rng, 2.0, 60))
+    images = [scene.rgb for scene in photographs(rng, ropes)]
+    u, v = ropes[0].curve[len(ropes[0].curve) // 2].tolist()
+    rules = {"hue range": BLUE, "clicked colours": propose_segmentation(images[0], [(u, v)]).rule}
     methods: list[Method[Image]] = []
     for name, rule in rules.items():
         detector = ShapeDetector([Centerline(n=20)], rule)
         methods.append(Method(name, lambda rgb, detector=detector: detector.detect(rgb).ok))
-    turns = time_methods(images, methods, warm_up=20)
+    there_and_back = [*images, *images[::-1]]
+    turns = time_methods([there_and_back[k % 120] for k in range(frames + 20)], methods, warm_up=20)
     first = median_ms(turns["hue range"])
     for name, some in turns.items():
         yield Row({"rule": name, "median [ms]": median_ms(some), "times a hue range": median_ms(some) / first})

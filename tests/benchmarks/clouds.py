@@ -12,13 +12,14 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist
 
+from shape_obs.bench.scenes import border_of
 from shape_obs.configurations.base import Configuration
 from shape_obs.configurations.centerline import Centerline
 from shape_obs.configurations.contour import Contour
 from shape_obs.configurations.surface import Surface
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.polyline import resample
-from shape_obs.metrics import spacing_cv
+from shape_obs.metrics import in_order, spacing_cv
 from shape_obs.shape import Shape
 from tests.benchmarks import followed
 from tests.benchmarks.claim import Claim, Effort, Limit
@@ -47,36 +48,18 @@ def drawn(effort: Effort) -> Iterator[tuple[str, Any]]:
 
 
 def cold_cloud(scene: tuple[str, Any]) -> Iterator[Row]:
-    """Detect a cloud with 3 mm noise and holes cold: ropes at each N from tip to tip, sheets also by their outline.
-
-    Yields:
-        ``ordered``: whether the order is right; ``curve_mm``: mean distance of valid points from the true curve (axis
-        or border), for a lattice as ``place_mm``; ``place_mm``: from their positions on the material, at equal arc
-        length, NaN if the shape has no first point.
-    """
+    """Detect a cloud with 3 mm noise and holes cold: ropes at each N from tip to tip, sheets also by their outline."""
     name, cloud = scene
     if name == "ring":
-        closed = np.concatenate([cloud.curve, cloud.curve[:1]])
-        yield _around("ring", Contour(), cloud, resample(closed, 4000))
+        yield _measured("ring", Contour(), cloud, curve=np.concatenate([cloud.curve, cloud.curve[:1]]), closed=True)
     elif name == "sheet":
-        shape, times = _twice(Surface(rows=4, cols=8, ends="tips"), cloud)
-        true = cloud.lattice(4, 8)
-        apart = np.linalg.norm(_points(shape) - true, axis=1)
-        mm, right = _mm(apart[shape.valid]), bool(apart.max() < pdist(true).min() / 2)
-        yield _result("sheet, lattice", shape, times, ordered=right, curve_mm=mm, place_mm=mm)
-        share = np.linspace(0, 1, 500)
-        zero, one = np.zeros_like(share), np.ones_like(share)
-        sides = [(share, zero), (one, share), (share[::-1], one), (zero, share[::-1])]
-        yield _around("sheet, outline", Contour(), cloud, np.concatenate([cloud.at(np.column_stack(s)) for s in sides]))
+        yield _measured("sheet, lattice", Surface(rows=4, cols=8, ends="tips"), cloud, places=cloud.lattice(4, 8))
+        border = cloud.at(border_of(np.stack(np.meshgrid(*[np.linspace(0, 1, 500)] * 2), axis=-1)))
+        yield _measured("sheet, outline", Contour(), cloud, curve=border, closed=True)
     else:
-        radius = cloud.radius if name == "rope, front" else 0.0
         for n in COUNTS:
-            shape, times = _twice(Centerline(n=n, ends="tips", radius=radius), cloud)
-            distance, nearest = _nearest(resample(cloud.curve, 4000), _points(shape)[shape.valid])
-            steps = np.diff(nearest)
-            ordered = bool(len(steps) and (np.all(steps > 0) or np.all(steps < 0)))
-            place = _either_way(shape, resample(cloud.curve, n))
-            yield _result(name, shape, times, ordered=ordered, curve_mm=_mm(distance), place_mm=place)
+            spec = Centerline(n=n, ends="tips", radius=cloud.radius if name == "rope, front" else 0.0)
+            yield _measured(name, spec, cloud, curve=cloud.curve, places=resample(cloud.curve, n))
 
 
 def follow_cloud(scene: tuple[int, float]) -> Row:
@@ -108,43 +91,56 @@ def lifted(scene: tuple[str, Any]) -> Iterator[Row]:
     name, image = scene
     is_rope = name == "rope"
     spec: Configuration = Centerline(ends="tips") if is_rope else Surface(rows=4, cols=8, ends="tips")
+    places = resample(image.curve, 20) if is_rope else image.lattice(4, 8)
     for way, given in _WAYS.items():
-        shape, times = _twice(replace(spec, **given), image)
-        place = _either_way(shape, resample(image.curve, 20)) if is_rope else _from(image.lattice(4, 8), shape)
-        wide = not (is_rope and image.hairpin)  # no bend is narrower than a gap
-        yield Row(times, object=name, way=way, wide=wide, ok=shape.ok, place_mm=place, gap_cv=_gap_cv(shape))
+        found = _measured(name, replace(spec, **given), image, curve=image.curve if is_rope else None, places=places)
+        yield Row(found, object=name, way=way, wide=not (is_rope and image.hairpin))  # no bend is narrower than a gap
 
 
-def _around(cloud: str, spec: Configuration, scene: Any, border: Array) -> Row:
-    """Compare a closed shape with its true curve, which is given by close points."""
-    shape, times = _twice(spec, scene)
-    distance, nearest = _nearest(border, _points(shape))
-    step = np.roll(nearest, -1).astype(int) - nearest
-    wrapped = (step + len(border) // 2) % len(border) - len(border) // 2
-    ordered = bool(np.all(wrapped > 0) or np.all(wrapped < 0))
-    return _result(cloud, shape, times, ordered=ordered, curve_mm=_mm(distance[shape.valid]), place_mm=np.nan)
+def _measured(
+    name: str,
+    spec: Configuration,
+    scene: Any,
+    *,
+    curve: Array | None = None,
+    places: Array | None = None,
+    closed: bool = False,
+) -> Row:
+    """Detect a cloud, or an image with depth, cold and once more.
 
+    Args:
+        name: Of the kind of scene.
+        spec: How it is detected.
+        scene: What is detected.
+        curve: ``(P, 3)`` metres, the line on which the points belong; None for a lattice.
+        places: ``(N, 3)`` metres, where they belong, in either direction; None if there is no first point.
+        closed: Whether the curve is closed.
 
-def _result(cloud: str, shape: Shape, times: Row, **found: Any) -> Row:
-    valid = 100 * float(shape.valid.mean())
-    return Row(times, cloud=cloud, n=len(shape), ok=shape.ok, gap_cv=_gap_cv(shape), valid=valid, **found)
-
-
-def _twice(spec: Configuration, scene: Any) -> tuple[Shape, Row]:
-    """Return the shape of a cloud or an image at a cold start, and the times of that frame and of the next one."""
+    Returns:
+        ``ordered``: whether the order is right; ``curve_mm`` and ``place_mm``: mean distances of valid points from the
+        curve and from their places, NaN where that is unknown; ``gap_cv`` between valid neighbours; ``valid``: percent;
+        ``cold_ms`` and ``warm_ms``.
+    """
     detector = ShapeDetector([spec], on_invalid="interpolate", on_missing="nan")
     is_cloud = isinstance(scene, (clouds.RopeCloud, clouds.SheetCloud))
     first, second = (
         detector.detect_cloud(scene.points) if is_cloud else detector.detect_mask(scene.mask, scene.depth, CAMERA)
         for _ in range(2)
     )
-    return first.shapes[0], Row(cold_ms=first.timings["total"], warm_ms=second.timings["total"])
-
-
-def _nearest(curve: Array, points: Array) -> tuple[Array, npt.NDArray[np.int_]]:
-    """Return the distance of each point from the nearest point of a curve, and the index of that one."""
-    tree: Any = KDTree(curve)
-    return tree.query(points)
+    shape, place_mm, ordered = first.shapes[0], np.nan, True
+    points, valid = _points(shape), shape.valid
+    if places is not None:
+        away = [np.linalg.norm(points - way, axis=1) for way in (places, places[::-1])]
+        place_mm = min(_mm(each[valid]) for each in away[: 1 if curve is None else 2])
+        ordered = bool(away[0].max() < pdist(places).min() / 2)
+    curve_mm = place_mm
+    if curve is not None:
+        distance, nearest = KDTree(resample(np.ascontiguousarray(curve), 4000)).query(points[valid])
+        curve_mm, along = _mm(distance), np.asarray(nearest, np.float64)
+        ordered = any(in_order(way, 4000.0 if closed else None) for way in (along, along[::-1]))
+    found = {"ordered": ordered, "curve_mm": curve_mm, "place_mm": place_mm, "valid": 100 * float(valid.mean())}
+    times = {"cold_ms": first.timings["total"], "warm_ms": second.timings["total"]}
+    return Row(found, cloud=name, n=len(shape), ok=shape.ok, gap_cv=spacing_cv(points, shape.layout, valid), **times)
 
 
 def _points(shape: Shape) -> Array:
@@ -155,21 +151,6 @@ def _points(shape: Shape) -> Array:
 
 def _mm(distance: Array) -> float:
     return 1e3 * float(distance.mean()) if len(distance) else np.nan
-
-
-def _from(true: Array, shape: Shape) -> float:
-    """Return the mean distance of valid points from their true positions in mm."""
-    return _mm(np.linalg.norm(_points(shape) - true, axis=1)[shape.valid])
-
-
-def _either_way(shape: Shape, true: Array) -> float:
-    """Return the mean distance of valid points from their true positions in mm, whichever end comes first."""
-    return min(_from(true, shape), _from(true[::-1], shape))
-
-
-def _gap_cv(shape: Shape) -> float:
-    """Return the coefficient of variation of the gaps between valid neighbours."""
-    return spacing_cv(_points(shape), shape.layout, shape.valid)
 
 
 def _wide(row: Row) -> bool:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import chain, product
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -16,14 +15,15 @@ from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.outline import clockwise
 from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, equal_chords
-from tests.benchmarks import at_rest, cold, followed
+from tests.benchmarks import cold, followed
 from tests.benchmarks.claim import Claim, Effort, Limit
 from tests.benchmarks.scenes.blobs import KINDS, Garment, garments, random_blob
-from tests.benchmarks.scenes.flat_objects import FlatScene, Motion, View, in_space, noisy_depth, ring, under_hand
-from tests.benchmarks.scores import SLIP, VISIBLE, VISIBLE_LIMITS, belief, outline_score, tally, visible_row
+from tests.benchmarks.scenes.flat_objects import FlatScene, Hand, Motion, View, in_space, noisy_depth, ring, under_hand
+from tests.benchmarks.scores import VISIBLE, VISIBLE_LIMITS, claimed, outline_score, tally, visible_row
 from tests.benchmarks.tables import Column, Row, failures, mean, median, of, total, worst
 
 COUNTS: Final = (16, 32, 64)
+Objects = Mapping[str, Callable[[np.random.Generator, int], npt.NDArray[np.float64]]]
 # Motions that are tracked: keywords of ``moving_blob``, which by default turns by 0.08 rad per frame.
 MOTIONS: Final[dict[str, dict[str, Any]]] = {
     "ring": {},
@@ -40,10 +40,21 @@ MOTIONS: Final[dict[str, dict[str, Any]]] = {
 VIEWS: Final = (View(), View(height=120))
 SPEEDS: Final = (0.5, 1, 2, 4, 8, 16)  # of a hand, pixels of a 640 x 480 image per frame
 SWINGS: Final = (8, 16, 40)
+_OBJECTS: Final[Objects] = {"ring": lambda rng, seed: ring(rng, True), "blob": lambda rng, seed: ring(rng, False)}
 _FINE: Final = 64  # places on the true outline to a gap
 # In gaps. Equal chords may move points along the outline by 1.5 gaps (``equal_chords``); an outline that needs
 # this much may need all of it once it is detected.
 _COARSE: Final = 1.3
+
+
+class FlatTrack(NamedTuple):
+    """A flat object that moves, or that a hand covers."""
+
+    scenes: Iterator[FlatScene]
+    view: View
+    name: str
+    motion: str
+    depth: bool  # whether the detector is given depth
 
 
 def drawn_blobs(effort: Effort) -> Iterator[Blob]:
@@ -110,71 +121,49 @@ def follow_outline(scene: tuple[int, str]) -> Row:
     )
 
 
-def at_rest_in_noise(scene: tuple[Blob, float]) -> Row:
-    """Detect an outline at rest in 60 masks of which a share of the pixels on either side of the border flips.
+def hands(objects: Objects, places: tuple[Hand, ...], depth: bool) -> Callable[[Effort], Iterator[FlatTrack]]:
+    """Return the scenes of objects over the border of which a hand comes, stays and goes.
 
-    Returns:
-        ``rms`` distance of the points from their mean positions, and ``drift``: the mean distance of the points between
-        the first and the last tenth of the frames, in pixels.
+    Args:
+        objects: Name -> takes a generator and a seed, and returns a material grid.
+        places: What the hand covers.
+        depth: Whether there is depth.
     """
-    blob, share = scene
-    near, few = np.ones((3, 3), np.uint8), 6
-    rng, border = np.random.default_rng(0), cv2.dilate(blob.mask, near) != cv2.erode(blob.mask, near)
-    flips = (border & (rng.random(border.shape) < share) for _ in range(10 * few))
-    shapes, squares = at_rest(Contour(), [np.where(each, 255 - blob.mask, blob.mask) for each in flips])
-    first, last = (np.mean([s.pixels for s in some], axis=0, dtype=float) for some in (shapes[:few], shapes[-few:]))
-    drift = float(np.linalg.norm(last - first, axis=-1).mean())
-    rms, refused = float(np.sqrt(squares.mean())), sum(not shape.ok for shape in shapes)
-    return Row(kind=blob.kind, flipped=share, refused=refused, rms=rms, drift=drift)
 
-
-def resting(effort: Effort) -> Iterator[tuple[Blob, float]]:
-    """Draw every kind of blob, and the shares of border pixels that flip."""
-    blobs = list(drawn_blobs(effort))
-    return product(blobs[:: len(blobs) // 4 or 1], (0.05, 0.1))
-
-
-def under_hands(with_depth: bool) -> Callable[[Effort], Iterator[dict[str, Any]]]:
-    """Return the scenes of closed bands and plain blobs over the border of which a hand comes, stays and goes."""
-
-    def scenes(effort: Effort) -> Iterator[dict[str, Any]]:
-        for view, hollow, moving, seed, speed in product(VIEWS, (True, False), (0.0, 4.0), effort.seeds(50), SPEEDS):
+    def scenes(effort: Effort) -> Iterator[FlatTrack]:
+        every = product(VIEWS, objects.items(), places, (0.0, 4.0), effort.seeds(50), SPEEDS)
+        for view, (name, make), place, moving, seed, speed in every:
             rng = np.random.default_rng((seed, round(10 * speed)))
-            drawn = under_hand(rng, ring(rng, hollow), view, "side", speed, moving, level=not with_depth)
-            what = "ring" if hollow else "blob"
-            yield {"scenes": drawn, "view": view, "object": what, "motion": f"{moving:g} px", "depth": with_depth}
+            drawn = under_hand(rng, make(rng, seed), view, place, speed, moving, level=not depth)
+            yield FlatTrack(drawn, view, name, f"hand on a {place}, {moving:g} px", depth)
 
     return scenes
 
 
-def swung(noise: bool) -> Callable[[Effort], Iterator[dict[str, Any]]]:
-    """Return the scenes of bands and blobs that are lifted and tilted, or of which a side bends to the camera."""
+def swings(
+    objects: Objects, motions: tuple[Motion, ...], noise: bool, views: tuple[View, ...] = VIEWS
+) -> Callable[[Effort], Iterator[FlatTrack]]:
+    """Return the scenes of objects that are swung through the air, with exact depth or that of a D455."""
 
-    def scenes(effort: Effort) -> Iterator[dict[str, Any]]:
-        motions: tuple[Motion, ...] = ("tilted", "corner up")
-        for view, hollow, motion, seed, speed in product(VIEWS, (True, False), motions, effort.seeds(50), SWINGS):
+    def scenes(effort: Effort) -> Iterator[FlatTrack]:
+        every = product(views, objects.items(), motions, effort.seeds(50), SWINGS)
+        for view, (name, make), motion, seed, speed in every:
             rng = np.random.default_rng((seed, round(10 * speed)))
-            drawn = in_space(rng, ring(rng, hollow), view, motion, speed)
+            drawn = in_space(rng, make(rng, seed), view, motion, speed)
             drawn = noisy_depth(drawn, view, seed) if noise else drawn
-            yield {
-                "scenes": drawn,
-                "view": view,
-                "object": "ring" if hollow else "blob",
-                "motion": motion,
-                "depth": True,
-            }
+            yield FlatTrack(drawn, view, name, motion + ("" if view.wall else ", no wall"), True)
 
     return scenes
 
 
-def follow_hidden(scene: dict[str, Any]) -> Row:
+def follow_hidden(scene: FlatTrack) -> Row:
     """Track an outline of which a part is hidden or bent, and count what was claimed of its points."""
-    frames = seen_outline(scene["scenes"], scene["view"], scene["depth"])
-    return visible_row(frames, rows=scene["view"].height, object=scene["object"], motion=scene["motion"])
+    frames = seen_outline(scene.scenes, scene.view, scene.depth)
+    return visible_row(frames, rows=scene.view.height, object=scene.name, motion=scene.motion)
 
 
 def seen_outline(scenes: Iterable[FlatScene], view: View, with_depth: bool) -> Iterator[Row]:
-    """Track an outline with equal gaps in space where there is depth; yield the rows of ``tally_visible``."""
+    """Track an outline with equal gaps in space where there is depth; yield the rows of ``visible_row``."""
     detector = ShapeDetector([Contour(spacing="m" if with_depth else "px")], on_invalid="interpolate")
     name, start, count = 0, 0.0, 32
     for scene in scenes:
@@ -195,13 +184,10 @@ def seen_outline(scenes: Iterable[FlatScene], view: View, with_depth: bool) -> I
             name, start = shape.track_id, float(np.angle(turn)) * count / 2 / np.pi % count
         off = np.abs((nearest - np.arange(count) - start + count / 2) % count - count / 2)
         true = fine[np.rint((np.arange(count) + start) * _FINE).astype(int) % len(fine)]
-        points = shape.points3d if shape.points3d is not None else np.full((count, 3), np.nan)
-        mm = 1e3 * np.linalg.norm(points - true[:, 2:5], axis=1)
-        hidden, slipped = true[:, 5] > 0.5, bool((off[shape.visible] > SLIP).any())
-        errors = mm / 1e3 if with_depth else np.linalg.norm(place - true[:, :2], axis=1)
-        claimed = {"visible": shape.visible, "valid": shape.valid, "hidden": hidden, "track": name}
-        claimed["belief"] = belief(shape, errors, ~hidden, slipped)
-        yield Row(ok=shape.ok and not shape.reason, shown=scene.shown, off=off, mm=mm, **claimed)
+        errors = np.linalg.norm(place - true[:, :2], axis=1)
+        if shape.points3d is not None:
+            errors = np.linalg.norm(shape.points3d - true[:, 2:5], axis=1)
+        yield claimed(shape, off, errors, true[:, 5] > 0.5, scene.shown, name)
 
 
 _COLD: Final[dict[str, Column]] = {
@@ -246,24 +232,16 @@ CLAIMS: Final = (
             Limit("to the outline [px]", at_most=0.15, unit="px"),
         ),
     ),
-    Claim(
-        "outlines.rest", "Outlines at rest in masks of which a share of the border's pixels flips.",
-        resting, at_rest_in_noise, ("kind", "flipped"),
-        {"outlines": len, "refused": total("refused"), "rms [px]": of(mean, "rms"), "drift [px]": of(worst, "drift")},
-        limits=(
-            Limit("refused", at_most=0), Limit("drift [px]", at_most=0.7, unit="px"),
-            Limit("rms [px]", at_most=0.3, unit="px", where={"kind": "smooth"}),
-            Limit("rms [px]", at_most=0.6, unit="px", sampled=0.9),
-        ),
-    ),
     *(
         Claim(f"outlines.hands.{name}", f"Rings and blobs over which a hand comes, stays and goes: {name}.",
-              under_hands(depth), follow_hidden, ("rows", "object", "motion"), VISIBLE, limits=VISIBLE_LIMITS)
+              hands(_OBJECTS, ("side",), depth), follow_hidden, ("rows", "object", "motion"), VISIBLE,
+              limits=VISIBLE_LIMITS)
         for name, depth in (("mask", False), ("depth", True))
     ),
     *(
         Claim(f"outlines.space.{name}", f"Rings and blobs that are tilted, or of which a side bends up: depth {name}.",
-              swung(noise), follow_hidden, ("rows", "object", "motion"), VISIBLE, limits=VISIBLE_LIMITS)
+              swings(_OBJECTS, ("tilted", "corner up"), noise), follow_hidden, ("rows", "object", "motion"), VISIBLE,
+              limits=VISIBLE_LIMITS)
         for name, noise in (("exact", False), ("noisy", True))
     ),
 )  # fmt: skip

@@ -8,7 +8,6 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import minimum_filter1d
 
 from shape_obs.bench.scenes import resample
 from shape_obs.compiled import compiled
@@ -17,13 +16,10 @@ from tests.benchmarks.scenes.ropes import Curve
 from tests.benchmarks.scenes.several_ropes import RopeScene
 from tests.benchmarks.scenes.tangles import Tangle
 
-_OFF: Final = 0.5  # largest distance of a right curve from its rope's axis in widths
+# In widths: the largest distance of a right curve from its rope's axis where that is in sight, and where it is hidden;
+# the largest distance of its tips from those of its rope.
+_OFF, _OFF_HIDDEN, _TIP = 0.5, 2.0, 1.0
 _SHARE: Final = 0.97  # of the length, over which the distance counts
-_TIP: Final = 1.0  # largest distance of a right curve's tips from those of its rope in widths
-# Of a tangled rope, in widths: the largest distance where it is hidden, and the length by which a tip may be missed.
-_OFF_HIDDEN: Final = 2.0
-_MISSED_TIP: Final = 2.0
-_PACE: Final = (0.1, 3.0)  # steps along the truth over steps along the found curve
 
 
 @dataclass(frozen=True)
@@ -48,11 +44,10 @@ def judge(found: Sequence[npt.NDArray[Any]], scene: RopeScene) -> Verdict:
         found: A curve from tip to tip for each rope that was given as found, in either direction, ``(N, 2)`` pixels.
         scene: The truth.
     """
-    curves = [np.asarray(curve, dtype=np.float64) for curve in found]
     ropes = [seen_axis(curve, scene.mask.shape) for curve in scene.curves]
-    owner = [-1] * len(curves)
+    owner = [-1] * len(found)
     for index, (rope, width) in enumerate(zip(ropes, scene.widths, strict=True)):
-        for k, curve in enumerate(curves):
+        for k, curve in enumerate(found):
             if owner[k] < 0 and follows(curve, rope, width):
                 owner[k] = index
                 break
@@ -60,7 +55,14 @@ def judge(found: Sequence[npt.NDArray[Any]], scene: RopeScene) -> Verdict:
     return Verdict(right, tuple(owner), owner.count(-1))
 
 
-def follows(found: Curve, axis: Curve, width: float) -> bool:
+def is_traversed(found: npt.NDArray[Any], tangle: Tangle) -> bool:
+    """Return whether a found curve follows a tangled rope, in either direction; tips may be missed by two widths."""
+    return follows(found, tangle.curve, tangle.width, tangle.hidden, tip=2.0)
+
+
+def follows(
+    found: npt.NDArray[Any], axis: Curve, width: float, hidden: npt.NDArray[np.bool_] | None = None, tip: float = _TIP
+) -> bool:
     """Return whether a curve runs along a rope's axis from tip to tip, in either direction.
 
     Both are walked along at once, without a step back. Where they are more than half a width apart a step of either
@@ -71,16 +73,22 @@ def follows(found: Curve, axis: Curve, width: float) -> bool:
         found: ``(N, 2)`` pixels.
         axis: The visible axis of the rope, ``(P, 2)`` pixels.
         width: The rope's thickness in pixels.
+        hidden: ``(P,)`` where something hides the rope: they may be two widths apart there. None for nowhere.
+        tip: The largest distance of the tips, widths.
     """
     if len(found) < 2 or not np.isfinite(found).all():
         return False
-    truth, curve = (np.ascontiguousarray(resample(line, 1.0)) for line in (axis, found))
+    truth, curve = (np.ascontiguousarray(resample(line.astype(np.float64), 1.0)) for line in (axis, found))
+    reach = np.full(len(truth), _OFF * width)
+    if hidden is not None:
+        at = np.linspace(0, len(hidden) - 1, len(truth)).round().astype(int)
+        reach[hidden[at]] = _OFF_HIDDEN * width
     for way in (curve, np.ascontiguousarray(curve[::-1])):
         tips = np.linalg.norm(way[[0, -1]] - truth[[0, -1]], axis=1)
-        if (tips <= _TIP * width).all():
-            off = steps_off(truth, way, _OFF * width, round(_TIP * width))
-            if off <= (1 - _SHARE) * len(truth):
-                return True
+        if (tips <= tip * width).all() and steps_off(truth, way, reach, round(_TIP * width)) <= (1 - _SHARE) * len(
+            truth
+        ):
+            return True
     return False
 
 
@@ -92,14 +100,14 @@ def seen_axis(curve: Curve, size: Sequence[int]) -> Curve:
     return resample(part, 1.0) if len(part) else part
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8, i8)")
-def steps_off(truth: Curve, found: Curve, reach: float, beyond: int) -> int:
+@compiled("(f8[:,::1], f8[:,::1], f8[::1], i8)")
+def steps_off(truth: Curve, found: Curve, reach: npt.NDArray[np.float64], beyond: int) -> int:
     """Return the fewest steps off on a walk along two curves at once, from both starts to both ends.
 
     Args:
         truth: ``(P, 2)`` pixels, at steps of a pixel.
         found: ``(N, 2)`` pixels, at steps of a pixel.
-        reach: Distance from which a step is off, in pixels.
+        reach: ``(P,)`` distance from which a step is off, in pixels.
         beyond: Steps by which the found curve may be longer at its start and its end.
     """
     n, m = len(truth), len(found)
@@ -107,7 +115,7 @@ def steps_off(truth: Curve, found: Curve, reach: float, beyond: int) -> int:
     for i in range(n):
         corner = row[0]
         for j in range(m):
-            far = (truth[i, 0] - found[j, 0]) ** 2 + (truth[i, 1] - found[j, 1]) ** 2 > reach * reach
+            far = (truth[i, 0] - found[j, 0]) ** 2 + (truth[i, 1] - found[j, 1]) ** 2 > reach[i] * reach[i]
             above = row[j]
             if i == 0:
                 best = row[j - 1] if j > beyond else 0
@@ -121,41 +129,3 @@ def steps_off(truth: Curve, found: Curve, reach: float, beyond: int) -> int:
     for j in range(max(m - 1 - beyond, 0), m):
         best = min(best, row[j])
     return best
-
-
-def is_traversed(found: npt.ArrayLike, tangle: Tangle) -> bool:
-    """Return whether a found curve follows a tangled rope from tip to tip, in either direction.
-
-    The discrete Frechet distance (Eiter and Mannila, 1994), with a bound on the pace, must not exceed half a width, or
-    two widths where the rope is hidden. A loop in the wrong direction, a missing strand or swapped strands exceed it.
-
-    Args:
-        found: ``(N, 2)`` pixels, evenly spaced.
-        tangle: The truth.
-    """
-    points = np.asarray(found, dtype=np.float64)
-    if not np.all(np.isfinite(points)):
-        return False
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    points = points[(arc >= _TIP * tangle.width) & (arc <= arc[-1] - _TIP * tangle.width)]
-    return bool(min(_leash(points, tangle), _leash(points[::-1], tangle)) <= _OFF * tangle.width)
-
-
-def _leash(points: Curve, tangle: Tangle) -> float:
-    """Return the Frechet distance from the truth; distances count a quarter where the rope is hidden."""
-    step = float(np.linalg.norm(np.diff(tangle.curve, axis=0), axis=1).mean())
-    distance = np.linalg.norm(points[:, None] - tangle.curve[None], axis=2)
-    distance[:, tangle.hidden] *= _OFF / _OFF_HIDDEN
-    pace = len(tangle.curve) / max(len(points) - 1, 1)
-    slow, fast = max(int(_PACE[0] * pace), 1), max(int(np.ceil(_PACE[1] * pace)), 3)
-    # A gap is added for curves of few points.
-    free = int((_MISSED_TIP + _TIP) * tangle.width / step + pace)
-    leash = np.full(len(tangle.curve), np.inf)
-    leash[:free] = distance[0, :free]
-    window = fast - slow + 1
-    for row in distance[1:]:
-        # The smallest value ``slow`` to ``fast`` steps behind.
-        padded = np.concatenate([np.full(fast, np.inf), leash])
-        behind = minimum_filter1d(padded, window, mode="constant", cval=np.inf, origin=(window - 1) // 2 - window + 1)
-        leash = np.maximum(behind[: len(leash)], row)
-    return float(leash[-free:].min())

@@ -11,14 +11,16 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from shape_obs.bench.scenes import resample as resample_by_step
+from shape_obs.bench.scenes import Sheet
 from shape_obs.configurations.base import Ends
+from shape_obs.configurations.surface import Surface
 from shape_obs.geometry.outline import clockwise
-from shape_obs.geometry.polyline import arc_length, interpolate, resample
+from shape_obs.geometry.polyline import resample
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 from shape_obs.metrics import in_order, spacing_cv
 from shape_obs.shape import Shape
 from tests.benchmarks.claim import Limit
+from tests.benchmarks.scenes.sheets import true_lattice
 from tests.benchmarks.tables import Column, Row, of, percent, total, worst
 
 Array = npt.NDArray[np.float64]
@@ -26,9 +28,12 @@ Array = npt.NDArray[np.float64]
 BOTH_ENDS: Final[tuple[Ends, ...]] = ("centers", "tips")
 SLIP: Final = 0.5  # gaps; a point that is farther from its position is nearer to that of its neighbour
 LEAST_SHOWN: Final = 0.55  # of an object: with less in sight it may be refused
+ASPECTS: Final = (1.0, 1.5, 2.0, 3.0, 1 / 2, 1 / 3)  # of drawn cloths
+# In degrees. This close to an eighth of a turn, either of two corners may count as the top left one.
+_UNDECIDED: Final = 2.0
 FAR: Final = 0.010  # metres; the mean error of a frame that must not be called ok
-_FINE_STEP: Final = 0.1  # pixels
-_BEYOND: Final = 100  # points by which a curve is continued at its ends
+_FINE: Final = 8000  # steps of a known curve, a tenth of a pixel or so each
+_BEYOND: Final = 200  # steps by which it is continued at its ends
 _PER_GAP: Final = 50  # points of a simulator's truth for each gap
 
 
@@ -43,60 +48,28 @@ def score(points: npt.ArrayLike, curve: Array, ends: Ends, *, directed: bool = T
 
     Returns:
         ``ordered``: whether the points' positions along the curve strictly increase; ``flipped``: whether they run
-        against the curve's direction; ``distance``: mean distance of the points from the curve, in its unit; ``tip``:
-        the larger distance of the first and last point from the curve's ends; ``gap_cv``: standard deviation over mean
-        of the distances between neighbours; ``slip``: largest distance of a point from its true arc position, along the
-        curve, in gaps.
+        against the curve's direction; ``distance`` and ``farthest``: mean and largest distance of the points from the
+        curve, in its unit; ``tip``: the larger distance of the first and last point from the curve's ends; ``gap_cv``:
+        standard deviation over mean of the distances between neighbours; ``slip``: largest distance of a point from its
+        true arc position, along the curve, in gaps.
     """
-    found = np.asarray(points, dtype=np.float64)
-    size = len(found)
-    share = (np.arange(size) + 0.5) / size if ends == "centers" else np.linspace(0, 1, size)
-
-    def off(way: Array) -> float:
-        way = np.ascontiguousarray(way, dtype=np.float64)
-        arc = arc_length(way)
-        return float(np.sum((found - interpolate(way, arc, share * arc[-1])) ** 2))
-
-    flipped = off(curve[::-1]) < off(curve)
+    found, gaps = np.asarray(points, dtype=np.float64), len(np.asarray(points)) - (ends == "tips")
+    share = (np.arange(len(found)) + (0.0 if ends == "tips" else 0.5)) / gaps
+    fine = resample(np.ascontiguousarray(curve, dtype=np.float64), _FINE + 1)
+    off, other = (np.sum((found - way[np.rint(share * _FINE).astype(int)]) ** 2) for way in (fine, fine[::-1]))
+    flipped = bool(other < off)
     if flipped and not directed:
-        curve, flipped = curve[::-1], False
-    curve = np.ascontiguousarray(curve, dtype=np.float64)
-    arc = arc_length(curve)
-    scale = 1.0 if arc[-1] > 10 else 1000.0  # a curve in metres gets as many fine points as one in pixels
-    fine = resample(curve, max(int(arc[-1] / _FINE_STEP * scale), 2))
+        fine, flipped = fine[::-1], False
     distance = KDTree(fine).query(found)[0]
-    step = arc[-1] / (len(fine) - 1)
-    along = (KDTree(_continued(fine, _BEYOND)).query(found)[1] - _BEYOND) * step
-    gap = arc[-1] / (size if ends == "centers" else size - 1)
+    along = (KDTree(_continued(fine, _BEYOND)).query(found)[1] - _BEYOND) / _FINE
     return Row(
         ordered=in_order(along),
-        flipped=bool(flipped),
+        flipped=flipped,
         distance=float(distance.mean()),
-        tip=float(max(np.linalg.norm(found[0] - curve[0]), np.linalg.norm(found[-1] - curve[-1]))),
-        gap_cv=spacing_cv(found, Chain(size)),
-        slip=float(np.abs(along - arc[-1] * share).max() / gap),
-    )
-
-
-def faithfulness(points: npt.ArrayLike, curve: Array, width: float) -> Row:
-    """Compare a found polyline with a known axis, in both directions.
-
-    Args:
-        points: ``(N, 2)`` pixels, the corners of the polyline.
-        curve: ``(P, 2)`` pixels, the axis from end to end.
-        width: The rope's, pixels.
-
-    Returns:
-        ``within``: the share of the length within half a width, of the axis from the polyline or of the polyline from
-        the axis, whichever is less; ``distance``: mean distance of the axis from the polyline; ``farthest``: the
-        largest in either direction, both in widths.
-    """
-    found, true = (resample_by_step(np.asarray(line, dtype=np.float64), _FINE_STEP) for line in (points, curve))
-    missed, strayed = (KDTree(line).query(other)[0] / width for line, other in ((found, true), (true, found)))
-    return Row(
-        within=float(min(np.mean(missed <= 0.5), np.mean(strayed <= 0.5))),
-        distance=float(missed.mean()),
-        farthest=float(max(missed.max(), strayed.max())),
+        farthest=float(distance.max()),
+        tip=float(np.linalg.norm(found[[0, -1]] - fine[[0, -1]], axis=1).max()),
+        gap_cv=spacing_cv(found, Chain(len(found))),
+        slip=float(np.abs(along - share).max() * gaps),
     )
 
 
@@ -132,9 +105,9 @@ def outline_score(points: npt.ArrayLike, outline: Array) -> Row:
         where the outline does not begin where point 0 belongs.
     """
     found = np.asarray(points, dtype=np.float64)
-    fine = resample_by_step(np.concatenate([outline, outline[:1]]), _FINE_STEP)[:-1]
+    fine = resample(np.ascontiguousarray(np.concatenate([outline, outline[:1]])), _FINE + 1)[:-1]
     distance, nearest = KDTree(fine).query(found)
-    along = np.asarray(nearest, dtype=np.float64) / len(fine)
+    along = np.asarray(nearest, dtype=np.float64) / _FINE
     off = (along - np.arange(len(found)) / len(found) + 0.5) % 1.0 - 0.5
     return Row(
         ordered=in_order(along, period=1.0),
@@ -161,18 +134,18 @@ def simulator_score(points: Array, valid: npt.NDArray[np.bool_], layout: Topolog
         ``(N,)`` distances of all points from their true positions, metres.
     """
     if isinstance(layout, Grid):
-        true = simulator.truth(layout.rows, layout.cols)
-        away = off_lattice(layout.lattice(points - true), layout.lattice(true))
-        slips = np.abs(away).max(axis=-1).ravel()
+        true, lattice = simulator.truth(layout.rows, layout.cols), layout.lattice(points)
+        slips = np.abs(off_lattice(lattice - layout.lattice(true), layout.lattice(true))).max(axis=-1).ravel()
+        turned = [each.reshape(points.shape) for each in (lattice[::-1], lattice[:, ::-1], lattice[::-1, ::-1])]
     elif isinstance(layout, (Chain, Ring)):
-        true = simulator.truth(layout.size)
-        slips = _along_curve(points, simulator, isinstance(layout, Ring))
+        true, closed = simulator.truth(layout.size), isinstance(layout, Ring)
+        slips = _along_curve(points, simulator, closed)
+        turned = [np.roll(points[::-1], int(closed), axis=0)]
     else:
         raise ValueError(f"expected a chain, a ring or a lattice, got {type(layout).__name__}.")
     distance = np.linalg.norm(points - true, axis=1)
-    others = min(float(np.sum((other - true) ** 2)) for other in _renumbered(points, layout))
+    flipped = any(float(np.sum((other - true) ** 2)) < float(np.sum(distance**2)) for other in turned)
     slip = float(slips[valid].max(initial=0.0))
-    flipped = others < float(np.sum(distance**2))
     return Row(mm=1e3 * float(distance.mean()), slip=slip, flipped=flipped, errors=distance)
 
 
@@ -197,28 +170,68 @@ def off_lattice(away: Array, true: Array) -> Array:
     return np.asarray(np.linalg.pinv(gaps) @ away[..., None], dtype=np.float64)[..., 0]
 
 
-def _renumbered(points: Array, layout: Topology) -> list[Array]:
-    """Return the same points in every other order that a shape of this layout could have."""
-    if isinstance(layout, Grid):
-        lattice = layout.lattice(points)
-        turned = (lattice[::-1], lattice[:, ::-1], lattice[::-1, ::-1])
-        return [other.reshape(points.shape) for other in turned]
-    backwards = points[::-1]
-    return [np.roll(backwards, 1, axis=0) if isinstance(layout, Ring) else backwards]
+def score_sheet(points: npt.ArrayLike, sheet: Sheet, rows: int, cols: int, ends: Ends, quarters: int) -> Row:
+    """Compare ``(N, 2)`` found points with a cloth whose first corner is number ``quarters``, counted clockwise.
+
+    Returns:
+        ``mean`` and ``worst`` distance of the points from their true positions, in pixels; ``slip``: the largest
+        distance of a point from its material, in gaps of the lattice along a row or a column; ``off``: all of these
+        distances, (rows, cols, 2), down and across.
+    """
+    true = true_lattice(np.rot90(sheet.points, quarters), rows, cols, ends)
+    away = np.asarray(points, dtype=np.float64).reshape(true.shape) - true
+    off, distance = off_lattice(away, true), np.linalg.norm(away, axis=-1)
+    return Row(mean=float(distance.mean()), worst=float(distance.max()), slip=float(np.abs(off).max()), off=off)
+
+
+def first_corner(sheet: Sheet) -> tuple[int, bool]:
+    """Return the first corner by the paper's rule (0 to 3, clockwise), and whether another one is as good."""
+    right = (sheet.points[:, -1] - sheet.points[:, 0]).mean(axis=0)
+    down = (sheet.points[-1] - sheet.points[0]).mean(axis=0)
+    # The mean, as directions, of the angles between the cloth's axes and the image's.
+    right, down = right / np.linalg.norm(right), down / np.linalg.norm(down)
+    degrees = np.degrees(np.angle(complex(*right) + complex(*down) / 1j))
+    quarters = round(degrees / 90)
+    return -quarters % 4, bool(abs(abs(degrees / 90 - quarters) - 0.5) * 90 < _UNDECIDED)
+
+
+def best_corner(shape: Shape, sheet: Sheet, spec: Surface) -> tuple[int, Row]:
+    """Return the corner of the cloth at which the points fit best, and how well they fit there."""
+    ends = spec.ends or "centers"
+    scores = [score_sheet(shape.pixels, sheet, spec.rows, spec.cols, ends, quarters) for quarters in range(4)]
+    return min(enumerate(scores), key=lambda pair: pair[1].mean)
+
+
+def by_the_rule(shape: Shape, sheet: Sheet, spec: Surface) -> tuple[bool, Row]:
+    """Return whether point 0 is at the corner that the paper's rule gives, and how well the points fit the cloth."""
+    expected, undecided = first_corner(sheet)
+    corner, found = best_corner(shape, sheet, spec)
+    return corner == expected or (undecided and (corner - expected) % 2 == 1), found
+
+
+def claimed(shape: Shape, off: Array, errors: Array, hidden: npt.NDArray[np.bool_], shown: float, track: int) -> Row:
+    """Return what a shape claims of its points in a frame, and what is true.
+
+    Args:
+        shape: With points in space, or without.
+        off: ``(N,)`` distances of the points from their material, in gaps.
+        errors: ``(N,)`` the same in metres or, without points in space, in pixels.
+        hidden: ``(N,)`` the points that are out of sight in truth.
+        shown: The share of the object that is seen.
+        track: The number of the track.
+    """
+    mm = 1e3 * errors if shape.points3d is not None else np.full(len(shape), np.nan)
+    visible, valid, good = shape.visible, shape.valid, shape.ok and not shape.reason
+    believed = belief(shape, errors, ~hidden, bool((off[visible] > SLIP).any()))
+    return Row(ok=good, shown=shown, off=off, mm=mm, visible=visible, valid=valid, hidden=hidden, track=track,
+               belief=believed)  # fmt: skip
 
 
 def visible_row(frames: Iterable[Row], **labels: Any) -> Row:
-    """Count what was claimed of an object of which a part is hidden, over the frames of a track.
-
-    Args:
-        frames: One row for each: ``ok``, without a reason against it; ``shown``, the share of the object that is seen;
-            ``off``: ``(N,)`` distances of the points from their material, in gaps; ``visible`` and ``valid``: ``(N,)``
-            what was claimed; ``hidden``: ``(N,)`` what is true; ``mm``: ``(N,)`` millimetres, NaN without depth;
-            ``track``: its number.
-        labels: Further fields of the row.
+    """Count what was claimed of an object of which a part is hidden, over the rows of ``claimed`` of a track.
 
     Returns:
-        The sums of which ``VISIBLE`` makes a table.
+        The sums of which ``VISIBLE`` makes a table, and further fields.
     """
     frames = list(frames)
     ok, due = [row for row in frames if row.ok], [row for row in frames if row.shown >= LEAST_SHOWN]
@@ -237,6 +250,7 @@ def visible_row(frames: Iterable[Row], **labels: Any) -> Row:
         hidden_valid=sum(int((row.valid & row.hidden).sum()) for row in frames),
         mm=float(errors.sum()),
         measured=len(errors),
+        far=sum(bool(row.valid.any() and row.mm[row.valid].mean() > 1e3 * FAR) for row in ok),
         renewed=sum(after.track == before.track + 1 for before, after in pairwise(frames)),
         worst=max((float(row.off[row.visible].max(initial=0.0)) for row in ok), default=0.0),
     )
@@ -256,6 +270,7 @@ VISIBLE: Final[dict[str, Column]] = {
     "seen [%]": percent("seen", "with_seen"),
     "hidden and valid [%]": percent("hidden_valid", "hidden"),
     "mean [mm]": _mean_mm,
+    "above 10 mm [%]": percent("far", "ok"),
     "renewed": total("renewed"),
     "worst [gaps]": of(worst, "worst"),
 }
@@ -268,7 +283,7 @@ VISIBLE_LIMITS: Final = (
 
 def tally_visible(frames: Iterable[Row]) -> Row:
     """Return ``VISIBLE`` of one track under short names; shares are in percent."""
-    names = ("frames", "slips", "refused", "seen", "hidden_valid", "mm", "renewed", "worst")
+    names = ("frames", "slips", "refused", "seen", "hidden_valid", "mm", "far", "renewed", "worst")
     counted = [visible_row(frames)]
     return Row(zip(names, (column(counted) for column in VISIBLE.values()), strict=True))
 

@@ -2,36 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import pairwise, product
-from typing import Any, Final, get_args
+from typing import Final, get_args
 
 import numpy as np
 
 from shape_obs.bench.scenes import Sheet, moving_sheet
 from shape_obs.configurations.surface import Surface
 from shape_obs.detector import ShapeDetector
-from tests.benchmarks import at_rest, cold, followed
+from tests.benchmarks import cold, followed
 from tests.benchmarks.claim import Claim, Effort, Limit
-from tests.benchmarks.outlines import SPEEDS, SWINGS, VIEWS
-from tests.benchmarks.scenes.flat_objects import FlatScene, Hand, Motion, View, cloth, in_space, noisy_depth, under_hand
-from tests.benchmarks.scenes.sheets import noisy, random_sheet, true_lattice, turning_sheet
+from tests.benchmarks.outlines import VIEWS, FlatTrack, Objects, hands, swings
+from tests.benchmarks.scenes.flat_objects import FlatScene, Hand, Motion, View, cloth
+from tests.benchmarks.scenes.sheets import random_sheet, true_lattice, turning_sheet
 from tests.benchmarks.scores import (
+    ASPECTS,
     BOTH_ENDS,
     SLIP,
     VISIBLE,
     VISIBLE_LIMITS,
-    belief,
+    best_corner,
+    by_the_rule,
+    claimed,
     off_lattice,
+    score_sheet,
     tally,
     visible_row,
 )
-from tests.benchmarks.sheet_scores import ASPECTS, best_corner, by_the_rule, score_sheet
-from tests.benchmarks.tables import Row, failures, mean, median, of, total, worst
+from tests.benchmarks.tables import Row, failures, mean, of, total, worst
 
 LATTICES: Final = ((4, 8), (2, 2), (3, 3), (8, 8), (6, 10))
 _SPEC: Final = Surface(rows=4, cols=8)  # of tracked cloths
+_CLOTH: Final[Objects] = {"cloth": lambda rng, seed: cloth(ASPECTS[seed % 3])}
 
 
 def drawn_sheets(effort: Effort) -> Iterator[Sheet]:
@@ -51,82 +55,42 @@ def cold_sheet(sheet: Sheet) -> Iterator[Row]:
         yield Row(score, lattice=f"{rows} x {cols}", ok=shape.ok, corner=right, slipped=score.slip > SLIP)
 
 
-def track_sheet(scenes: Iterable[Sheet]) -> Row:
-    """Track a cloth whose first corner is the one at which the first frame fits best; slips are in gaps."""
+def motions(effort: Effort) -> Iterator[tuple[str, list[Sheet]]]:
+    """Draw cloths that turn once around on the spot by a degree per frame, and that wander by 12 px, turn and bend."""
+    for seed in effort.seeds(6):
+        rng, aspect = np.random.default_rng(seed), ASPECTS[seed % len(ASPECTS)]
+        yield "a full turn", list(turning_sheet(rng, aspect))
+        yield "12 px a frame", list(moving_sheet(rng, 12, aspect=aspect))
+
+
+def follow(scene: tuple[str, list[Sheet]]) -> Row:
+    """Track a cloth, and detect each frame of a full turn cold as well; slips are in gaps.
+
+    The first corner is the one at which the first frame fits best.
+    """
+    motion, sheets = scene
     scores: list[Row] = []
-    times: list[float] = []
     corner, not_ok = -1, 0
-    for sheet, detection in followed(scenes, lambda sheet: ShapeDetector([_SPEC])):
+    for sheet, detection in followed(sheets, lambda sheet: ShapeDetector([_SPEC])):
         shape = detection.shapes[0]
         corner = corner if scores else best_corner(shape, sheet, _SPEC)[0]
         scores.append(score_sheet(shape.pixels, sheet, _SPEC.rows, _SPEC.cols, "centers", corner))
-        times.append(detection.timings["fit"] + detection.timings["lift"])
         not_ok += bool(shape.reason)
     moves = [np.abs(after.off - before.off).max() for before, after in pairwise(scores)]
-    distance, far = mean(each.mean for each in scores), max(each.worst for each in scores)
-    return Row(tally(scores), not_ok=not_ok, move=float(max(moves)), distance=distance, far=far, ms=median(times))
-
-
-def follow_turning(seed: int) -> Row:
-    """Track a cloth that turns once around on the spot, by a degree per frame, and detect each frame cold as well."""
-    scenes = list(turning_sheet(np.random.default_rng(seed), ASPECTS[seed % len(ASPECTS)]))
-    shapes = [cold(_SPEC, sheet.mask) for sheet in scenes]
-    found = [by_the_rule(*pair, _SPEC) for pair in zip(shapes, scenes, strict=True)]
+    found = [by_the_rule(cold(_SPEC, s.mask), s, _SPEC) for s in (sheets if motion == "a full turn" else ())]
     wrong = sum(score.slip > SLIP or not right for right, score in found)
-    return Row(track_sheet(scenes), motion="a full turn", cold_wrong=wrong, cold_refused=sum(not s.ok for s in shapes))
+    distance = mean(each.mean for each in scores)
+    return Row(tally(scores), motion=motion, not_ok=not_ok, move=float(max(moves)), distance=distance, cold_wrong=wrong)
 
 
-def follow_moving(seed: int) -> Row:
-    """Track a cloth that wanders by 12 px per frame, turns and bends."""
-    motion = moving_sheet(np.random.default_rng(seed), 12, aspect=ASPECTS[seed % len(ASPECTS)])
-    return Row(track_sheet(motion), motion="12 px a frame", cold_wrong=0, cold_refused=0)
-
-
-def rest(seed: int) -> Row:
-    """Return the RMS movement in pixels of the points of a cloth at rest whose mask flickers."""
-    rng, aspect = np.random.default_rng(seed), ASPECTS[seed % len(ASPECTS)]
-    sheet = random_sheet(rng, aspect, float(rng.uniform(0, 360)))
-    shapes, squares = at_rest(_SPEC, [noisy(sheet.mask, rng) for _ in range(60)])
-    jitter, highest = np.sqrt([squares.mean(), squares.mean(axis=0).max()]).tolist()
-    return Row(aspect=aspect, refused=sum(not shape.ok for shape in shapes), rms=jitter, worst=highest)
-
-
-def under_hands(with_depth: bool) -> Callable[[Effort], Iterator[dict[str, Any]]]:
-    """Return the scenes of cloths over a corner or a side of which a hand comes, stays and goes."""
-
-    def scenes(effort: Effort) -> Iterator[dict[str, Any]]:
-        hands: tuple[Hand, ...] = get_args(Hand)
-        for view, place, moving, seed, speed in product(VIEWS, hands, (0.0, 4.0), effort.seeds(50), SPEEDS):
-            rng = np.random.default_rng((seed, round(10 * speed)))
-            drawn = under_hand(rng, cloth(ASPECTS[seed % 3]), view, place, speed, moving, level=not with_depth)
-            yield {"scenes": drawn, "view": view, "motion": f"hand on a {place}, {moving:g} px", "depth": with_depth}
-
-    return scenes
-
-
-def swung(noise: bool) -> Callable[[Effort], Iterator[dict[str, Any]]]:
-    """Return the scenes of cloths that are tilted, of which a corner bends to the camera, and that are folded."""
-
-    def scenes(effort: Effort) -> Iterator[dict[str, Any]]:
-        motions: tuple[Motion, ...] = get_args(Motion)
-        views = (*VIEWS, View(wall=False))
-        for view, motion, seed, speed in product(views, motions, effort.seeds(50), SWINGS):
-            rng = np.random.default_rng((seed, round(10 * speed)))
-            drawn = in_space(rng, cloth(ASPECTS[seed % 3]), view, motion, speed, 120)
-            drawn = noisy_depth(drawn, view, seed) if noise else drawn
-            yield {"scenes": drawn, "view": view, "motion": motion + ("" if view.wall else ", no wall"), "depth": True}
-
-    return scenes
-
-
-def follow_hidden(scene: dict[str, Any]) -> Row:
+def follow_hidden(scene: FlatTrack) -> Row:
     """Track a cloth of which a part is hidden or bent, and count what was claimed of its points."""
-    frames = seen_points(scene["scenes"], scene["view"], scene["depth"])
-    return visible_row(frames, rows=scene["view"].height, motion=scene["motion"])
+    frames = seen_points(scene.scenes, scene.view, scene.depth)
+    return visible_row(frames, rows=scene.view.height, motion=scene.motion)
 
 
 def seen_points(scenes: Iterable[FlatScene], view: View, with_depth: bool) -> Iterator[Row]:
-    """Track a cloth with equal gaps in space where there is depth; yield the rows of ``tally_visible``."""
+    """Track a cloth with equal gaps in space where there is depth; yield the rows of ``visible_row``."""
     spec = Surface(rows=4, cols=8, spacing="m" if with_depth else "px")
     detector, name, corner = ShapeDetector([spec], on_invalid="interpolate"), 0, 0
     for scene in scenes:
@@ -145,11 +109,8 @@ def seen_points(scenes: Iterable[FlatScene], view: View, with_depth: bool) -> It
         if shape.points3d is not None:  # in the image a steep piece of cloth has no gaps
             away, place = shape.points3d.reshape(4, 8, 3) - true[..., 2:5], true[..., 2:5]
         off = np.abs(off_lattice(np.nan_to_num(away), place)).max(axis=-1).ravel()
-        mm = 1e3 * np.linalg.norm(away, axis=-1).ravel() if shape.points3d is not None else np.full(32, np.nan)
-        hidden, slipped = true[..., 5].ravel() > 0.5, bool((off[shape.visible] > SLIP).any())
-        claimed = {"visible": shape.visible, "valid": shape.valid, "hidden": hidden, "track": name}
-        claimed["belief"] = belief(shape, np.linalg.norm(away, axis=-1).ravel(), ~hidden, slipped)
-        yield Row(ok=shape.ok and not shape.reason, shown=scene.shown, off=off, mm=mm, **claimed)
+        errors = np.linalg.norm(away, axis=-1).ravel()
+        yield claimed(shape, off, errors, true[..., 5].ravel() > 0.5, scene.shown, name)
 
 
 _FOLDED: Final = "a folded cloth is often refused, and small ones slip"
@@ -166,39 +127,26 @@ CLAIMS: Final = (
             Limit("worst cloth [px]", at_most=3.0, unit="px", sampled=3.5),
         ),
     ),
-    *(
-        Claim(
-            f"sheets.{name}", what, lambda effort: effort.seeds(6), follow, ("motion",),
-            {"cloths": len, "frames": total("frames"), "slips": total("slips"), "refused": total("not_ok"),
-             "worst place [cells]": of(worst, "worst_slip"), "worst move [cells]": of(worst, "move"),
-             "to the material [px]": of(mean, "distance"), "cold: corner or point wrong": total("cold_wrong"),
-             "cold: refused": total("cold_refused"), "fit [ms]": of(median, "ms")},
-            limits=(
-                Limit("slips", at_most=0), Limit("refused", at_most=0), Limit("worst place [cells]", at_most=0.3),
-                Limit("cold: corner or point wrong", at_most=0),
-            ),
-        )
-        for name, what, follow in (
-            ("turning", "Cloths that turn once around in steps of a degree, tracked and cold.", follow_turning),
-            ("moving", "Cloths that wander, turn and bend, tracked over 180 frames.", follow_moving),
-        )
-    ),
     Claim(
-        "sheets.rest", "Cloths at rest in masks that flicker: RMS movement of their points.",
-        lambda effort: effort.seeds(6), rest, ("aspect",),
-        {"cloths": len, "refused": total("refused"), "rms [px]": of(mean, "rms"),
-         "worst point [px]": of(worst, "worst")},
-        limits=(Limit("refused", at_most=0), Limit("rms [px]", at_most=0.3, unit="px")),
+        "sheets.moving", "Cloths that turn once around, tracked and cold, and that wander, turn and bend, tracked.",
+        motions, follow, ("motion",),
+        {"cloths": len, "frames": total("frames"), "slips": total("slips"), "refused": total("not_ok"),
+         "worst place [cells]": of(worst, "worst_slip"), "worst move [cells]": of(worst, "move"),
+         "to the material [px]": of(mean, "distance"), "cold: corner or point wrong": total("cold_wrong")},
+        limits=(
+            Limit("slips", at_most=0), Limit("refused", at_most=0), Limit("worst place [cells]", at_most=0.3),
+            Limit("cold: corner or point wrong", at_most=0),
+        ),
     ),
     *(
         Claim(f"sheets.hands.{name}", f"Cloths over a corner or a side of which a hand comes, stays and goes: {name}.",
-              under_hands(depth), follow_hidden, ("rows", "motion"), VISIBLE, limits=VISIBLE_LIMITS)
+              hands(_CLOTH, get_args(Hand), depth), follow_hidden, ("rows", "motion"), VISIBLE, limits=VISIBLE_LIMITS)
         for name, depth in (("mask", False), ("depth", True))
     ),
     *(
         Claim(f"sheets.space.{name}", f"Cloths that are tilted, bent up at a corner, or folded: depth {name}.",
-              swung(noise), follow_hidden, ("rows", "motion"), VISIBLE,
-              limits=tuple(replace(each, known=_FOLDED) for each in VISIBLE_LIMITS))
+              swings(_CLOTH, get_args(Motion), noise, (*VIEWS, View(wall=False))), follow_hidden, ("rows", "motion"),
+              VISIBLE, limits=tuple(replace(each, known=_FOLDED) for each in VISIBLE_LIMITS))
         for name, noise in (("exact", False), ("noisy", True))
     ),
 )  # fmt: skip

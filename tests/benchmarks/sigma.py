@@ -33,11 +33,11 @@ def ropes(effort: Effort) -> Iterator[tuple[str, bool, Callable[[], Iterable[Row
     """Return the covered ropes with and without depth, and the swung ones, in two image sizes."""
     for depth, cover, seed, approach, speed in product((False, True), COVERS, effort.seeds(8), (1.0, 8.0), (0.0, 3.0)):
         track = {"seed": seed, "cover": cover, "approach": approach, "speed": speed, "depth": depth, "noise": depth}
-        yield f"rope, {cover}", depth, lambda track=track: covered_rope(**track).beliefs
+        yield f"rope, {cover}", depth, lambda track=track: _believed(covered_rope(**track))
     for (small, size), seed in product((("", (480, 640)), (", 160x120", (120, 160))), effort.seeds(8)):
         frames = max(round(300 * min(4 * effort.share, 1)), 60)
         swing = {"seed": seed, "hertz": 33.0, "noise": True, "size": size, "frames": frames}
-        yield f"rope, swung{small}", True, lambda swing=swing: swinging_rope(**swing).beliefs
+        yield f"rope, swung{small}", True, lambda swing=swing: _believed(swinging_rope(**swing))
 
 
 def flat_objects(effort: Effort) -> Iterator[tuple[str, bool, Callable[[], Iterable[Row]]]]:
@@ -60,9 +60,13 @@ def _flat(name: str, scenes: Iterator[FlatScene], view: View, depth: bool, seed:
 
     def found() -> Iterator[Row]:
         measured = noisy_depth(scenes, view, seed) if depth else scenes
-        return (row.belief for row in follow(measured, view, depth) if row.ok)
+        return _believed(follow(measured, view, depth))
 
     return found
+
+
+def _believed(frames: Iterable[Row]) -> Iterator[Row]:
+    return (row.belief for row in frames if row.ok)
 
 
 def environments(effort: Effort) -> Iterator[tuple[str, bool, Callable[[], Iterable[Row]]]]:

@@ -24,8 +24,7 @@ from tests.benchmarks.scenes.blobs import random_blob
 from tests.benchmarks.scenes.clouds import ring_cloud, rope_cloud, sheet_cloud
 from tests.benchmarks.scenes.ropes import random_rope
 from tests.benchmarks.scenes.sheets import random_sheet
-from tests.benchmarks.scores import outline_score, score
-from tests.benchmarks.sheet_scores import score_sheet
+from tests.benchmarks.scores import outline_score, score, score_sheet
 
 NAMES = ("kmeans", "gmm", "fcm", "kohonen")
 ALL: tuple[Clusterer, ...] = (KMeans(), GaussianMixture(), FuzzyCMeans(), Kohonen())

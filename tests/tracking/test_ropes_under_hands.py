@@ -235,7 +235,7 @@ def test_what_passes_over_a_rope_moves_no_visible_point(seed, cover, approach, s
     rng = np.random.default_rng([seed, round(2 * approach), round(speed)])
     row = track(hidden_ropes(rng, cover, approach, speed, share=float(rng.uniform(0.15, 0.45))), depth=depth)
     assert row.slips <= slips, row
-    assert row.ok >= share * row.due, row
+    assert row.refused <= (1 - share) * row.due, row
     assert row.frames > 100
 
 

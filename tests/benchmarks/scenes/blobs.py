@@ -10,9 +10,9 @@ from typing import Final, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.scenes import SIZE, Blob, draw_blob, random_waves, resample, rotation, wavy_circle
+from shape_obs.bench.scenes import SIZE, Blob, draw_blob, random_waves, rotation, wavy_circle
 from shape_obs.utils.documents import read_json
-from tests.benchmarks.scenes.ropes import normals
+from tests.benchmarks.scenes.ropes import arcs, normals
 
 Array = npt.NDArray[np.float64]
 Kind = Literal["smooth", "c", "horseshoe", "star"]
@@ -59,19 +59,15 @@ def _formed(rng: np.random.Generator, kind: Kind) -> Array:
         return rng.uniform(50, 150) * wavy_circle(random_waves(rng, rng.uniform(0.05, 0.25)))
     if kind == "star":
         tips, depth, angle = rng.integers(3, 8), rng.uniform(0.15, 0.35), 2 * np.pi * np.arange(1440) / 1440
-        return (rng.uniform(90, 150) * (1 + depth * np.cos(tips * angle)))[:, None] * _around(angle)
+        return (rng.uniform(90, 150) * (1 + depth * np.cos(tips * angle)))[:, None] * np.stack(
+            [np.cos(angle), np.sin(angle)], axis=1
+        )
     if kind == "c":
-        radius, opening = rng.uniform(70, 130), rng.uniform(0.5, 2.0)
-        angle = np.linspace(opening / 2, 2 * np.pi - opening / 2, 400)
-        return _thick(radius * _around(angle), radius * rng.uniform(0.2, 0.5))
+        radius, turn = rng.uniform(70, 130), 2 * np.pi - rng.uniform(0.5, 2.0)
+        return _thick(arcs((radius * turn, turn)), radius * rng.uniform(0.2, 0.5))
     radius, leg = rng.uniform(50, 100), rng.uniform(60, 160)
-    bow = radius * _around(np.linspace(np.pi, 2 * np.pi, 200))
-    line = np.concatenate([[[-radius, leg]], bow, [[radius, leg * rng.uniform(0.6, 1)]]])
-    return _thick(resample(line, 1.0), radius * rng.uniform(0.2, 0.7))
-
-
-def _around(angle: Array) -> Array:
-    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    line = arcs((leg, 0.0), (np.pi * radius, np.pi), (leg * rng.uniform(0.6, 1), 0.0))
+    return _thick(line, radius * rng.uniform(0.2, 0.7))
 
 
 def _thick(line: Array, width: float) -> Array:

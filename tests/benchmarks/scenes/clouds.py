@@ -15,6 +15,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from shape_obs.bench.scenes import resample, times
+from tests.benchmarks.scenes.flat_objects import rolled
 
 Array = npt.NDArray[np.float64]
 Side = Literal["all", "front"]
@@ -52,14 +53,10 @@ class SheetCloud:
 
     def at(self, share: Array) -> Array:
         """Return points at shares of width (left to right) and height (top to bottom): (N, 2) -> (N, 3) metres."""
-        flat = (share - 0.5) * self.size
-        direction = np.array([np.cos(self.axis), np.sin(self.axis)])
-        normal = np.array([-direction[1], direction[0]])
-        # The sheet is rolled about a cylinder whose axis lies in it, so that distances along it stay.
-        curvature = self.bend / float(np.abs(normal) @ self.size) + 1e-9
-        turn = curvature * (flat @ normal)
-        rolled = (flat @ direction)[:, None] * direction + (np.sin(turn) / curvature)[:, None] * normal
-        space = np.column_stack([rolled, (1 - np.cos(turn)) / curvature])
+        way, flat = np.array([-np.sin(self.axis), np.cos(self.axis)]), (share - 0.5) * self.size
+        radius = float(np.abs(way) @ self.size) / max(abs(self.bend), 1e-9)
+        halves = [rolled(flat, side * way, 0.0, radius, np.pi) for side in (1, -1)]
+        space = np.where((flat @ way > 0)[:, None], *halves) * (1, 1, -np.sign(self.bend))
         return space @ self.place[:, :3].T + self.place[:, 3]
 
     def lattice(self, rows: int, cols: int) -> Array:

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from shape_obs.bench.scenes import rotation
 from shape_obs.camera import Intrinsics
 from shape_obs.compiled import compiled
+from tests.benchmarks.scenes.hidden_ropes import d455
 
 Array = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -135,13 +136,8 @@ def in_space(
 
 def noisy_depth(scenes: Iterator[FlatScene], view: View, seed: int) -> Iterator[FlatScene]:
     """Put a D455's noise on the depth of scenes; needs the environments' package."""
-    from shape_obs_envs.d455.model import D455Model
-    from shape_obs_envs.d455.noise import D455Camera
-
-    camera = D455Camera(D455Model(), (view.height, 4 * view.height // 3), fast=True)
-    rng, white = np.random.default_rng(seed), np.full((view.height, 4 * view.height // 3, 3), 200, np.uint8)
-    for scene in scenes:
-        yield replace(scene, depth=camera.measure(scene.depth, white, rng).metres.copy())
+    measure = d455((view.height, 4 * view.height // 3), np.random.default_rng(seed))
+    return (replace(scene, depth=measure(scene.depth)) for scene in scenes)
 
 
 class _Pose:
@@ -183,16 +179,16 @@ class _Pose:
             return np.concatenate([points, np.zeros((*points.shape[:2], 1))], axis=-1)
         if self.bend not in ("corner up", "folded"):
             way, bend = np.array([np.cos(self.towards), np.sin(self.towards)]), 1.5 * np.sin(self.pace[4] * time)
-            halves = [_rolled(points, side * way, 0.0, 1 / max(abs(bend), 1e-3), np.pi) for side in (1, -1)]
+            halves = [rolled(points, side * way, 0.0, 1 / max(abs(bend), 1e-3), np.pi) for side in (1, -1)]
             return np.where((points @ way > 0)[..., None], *halves) * (1, 1, np.sign(bend))
         corner = self.corner * np.abs(self.flat[-1, -1]) if len(self.flat) != _BAND[0] else self.flat[-1, 20]
         way = corner / np.linalg.norm(corner)
         reach = float((self.flat @ way).max())
         most, radius, share = (np.radians(75), 0.05, 0.45) if self.bend == "corner up" else (np.pi, 0.008, 0.6)
-        return _rolled(points, way, share * reach, radius, most * (1 - np.cos(0.9 * self.pace[5] * time)) / 2)
+        return rolled(points, way, share * reach, radius, most * (1 - np.cos(0.9 * self.pace[5] * time)) / 2)
 
 
-def _rolled(flat: Array, way: Array, begin: float, radius: float, most: float) -> Array:
+def rolled(flat: Array, way: Array, begin: float, radius: float, most: float) -> Array:
     """Roll a plane about a cylinder, towards the camera, where it goes beyond ``begin`` along ``way``; (..., 3)."""
     along = flat @ way
     over = np.maximum(along - begin, 0.0)

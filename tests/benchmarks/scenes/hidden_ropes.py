@@ -7,9 +7,9 @@ returns depth, made of balls; its mask and its depth are drawn together.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from itertools import repeat
-from typing import Any, Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -35,7 +35,6 @@ _PIECE: Final = 0.2  # radii from one drawn ball to the next
 _LONGEST: Final = 4.0  # radii from the axis to the surface, on a ray along the rope
 _CLEAR: Final = 14.0  # pixels from the rope's tip at which something is away
 _WIDE: Final = 640
-_BEHIND: Final = 0.3  # metres from the farthest point of a rope in space to the wall
 
 
 class Hidden(NamedTuple):
@@ -196,17 +195,13 @@ def _border(rng: np.random.Generator, curve: Array) -> _Hider:
     return hide
 
 
-def swinging_ropes(curves: Iterable[Array], radius: float, camera: Intrinsics, wall: bool) -> Iterator[Seen]:
-    """Draw the frames of a rope in space, ``(P, 3)`` metres each, in front of a wall or of nothing."""
-    for curve in curves:
-        yield see(curve, radius, camera, float(curve[:, 2].max()) + _BEHIND if wall else 0.0)
+def d455(size: tuple[int, int], rng: np.random.Generator) -> Callable[[Depth], Depth]:
+    """Return what a D455 measures: ``(H, W)`` metres -> metres with its noise; needs the environments' package."""
+    from shape_obs_envs.d455 import D455Model
+    from shape_obs_envs.d455.noise import D455Camera
 
-
-def with_noise(seen: Seen, measure: Any, rng: np.random.Generator) -> Seen:
-    """Return a frame with the depth that a noisy camera measures: ``measure(metres, rgb, rng)``."""
-    rgb = np.full((*seen.mask.shape, 3), 150, np.uint8)
-    metres, _ = measure(seen.depth, rgb, rng)
-    return seen._replace(depth=np.round(np.nan_to_num(metres), 3).astype(np.float32))
+    camera, gray = D455Camera(D455Model(), size, fast=True), np.full((*size, 3), 150, np.uint8)
+    return lambda depth: np.round(np.nan_to_num(camera.measure(depth, gray, rng).metres), 3).astype(np.float32)
 
 
 def see(

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.scenes import blank, covered, subpixel
+from shape_obs.bench.scenes import draw_blob, rotation
 from shape_obs.camera import Intrinsics
 from tests.benchmarks.scenes.ropes import Kind, bend_radius, random_rope
 
@@ -67,38 +67,32 @@ class TiltedSheet:
 
 def tilted_rope(rng: np.random.Generator, kind: Kind = "smooth") -> TiltedRope:
     """Draw a rope on a plane that leans by 30 to 45 degrees."""
-    rope = random_rope(rng, kind)
-    normal, point = _plane(rng, 0.9)
-    rays = CAMERA.rays(rope.curve)
-    curve = rays * ((point @ normal) / (rays @ normal))[:, None]
-    return TiltedRope(rope.mask, _depth(rng, rope.mask, normal, point), curve, rope.length / 20 > 2 * bend_radius(rope))
+    rope, normal = random_rope(rng, kind), _leaning(rng)
+    rays, depth = CAMERA.rays(rope.curve), _depth(rng, rope.mask, normal, 0.9)
+    curve = rays * (0.9 * normal[2] / (rays @ normal))[:, None]
+    return TiltedRope(rope.mask, depth, curve, rope.length / 20 > 2 * bend_radius(rope))
 
 
 def tilted_sheet(rng: np.random.Generator) -> TiltedSheet:
     """Draw a flat sheet on a plane that leans by 30 to 45 degrees, turned by at most 20 degrees in the plane."""
-    normal, point = _plane(rng, 0.8)
-    right = np.array([1.0, 0, 0]) - normal * normal[0]
-    right /= np.linalg.norm(right)
-    down, turn = np.cross(normal, right), rng.uniform(-0.35, 0.35)
-    right, down = np.cos(turn) * right + np.sin(turn) * down, np.cos(turn) * down - np.sin(turn) * right
-    corners = np.array([point + x * 0.18 * right + y * 0.12 * down for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
-    canvas = blank((480, 640))
-    cv2.fillPoly(canvas, [subpixel(CAMERA.project(corners))], (255,), shift=8)
-    mask = covered(canvas)
-    return TiltedSheet(mask, _depth(rng, mask, normal, point), corners)
+    normal = _leaning(rng)
+    right = np.cross((0.0, 1.0, 0.0), normal)
+    axes = rotation(rng.uniform(-0.35, 0.35)) @ np.stack([right / np.linalg.norm(right), np.cross(normal, right)])
+    corners = np.array([(-0.18, -0.12), (0.18, -0.12), (0.18, 0.12), (-0.18, 0.12)]) @ axes + (0.0, 0.0, 0.8)
+    mask = draw_blob(CAMERA.project(corners)).mask
+    return TiltedSheet(mask, _depth(rng, mask, normal, 0.8), corners)
 
 
-def _plane(rng: np.random.Generator, distance: float) -> tuple[Array, Array]:
-    """Return the normal and a point of a plane that leans in a random direction."""
+def _leaning(rng: np.random.Generator) -> Array:
+    """Return the unit normal of a plane that leans in a random direction."""
     lean, towards = rng.uniform(*_LEAN), rng.uniform(0, 2 * np.pi)
-    normal = np.array([np.sin(lean) * np.cos(towards), np.sin(lean) * np.sin(towards), np.cos(lean)])
-    return normal, np.array([0.0, 0.0, distance])
+    return np.array([np.sin(lean) * np.cos(towards), np.sin(lean) * np.sin(towards), np.cos(lean)])
 
 
-def _depth(rng: np.random.Generator, mask: Mask, normal: Array, point: Array) -> Array:
-    """Return the depth image of an object in a plane, with all faults."""
+def _depth(rng: np.random.Generator, mask: Mask, normal: Array, distance: float) -> Array:
+    """Return the depth image of an object in a plane, so far away on the optical axis, with all faults."""
     v, u = np.mgrid[: mask.shape[0], : mask.shape[1]]
-    plane = (point @ normal) / (CAMERA.rays(np.stack([u, v], axis=-1)) @ normal)
+    plane = distance * normal[2] / (CAMERA.rays(np.stack([u, v], axis=-1)) @ normal)
     depth = np.where(mask > 0, plane, plane + _BEHIND) + rng.normal(0, _DEPTH_NOISE, plane.shape)
     cross = np.ones((3, 3), np.uint8)
     edge = (cv2.dilate(mask, cross) > 0) & (cv2.erode(mask, cross) == 0)

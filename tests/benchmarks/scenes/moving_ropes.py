@@ -12,8 +12,9 @@ import numpy.typing as npt
 
 from shape_obs.bench.scenes import SIZE, draw_rope, from_heading, resample, rotation
 from tests.benchmarks.scenes.layouts import Table, lay_ropes
+from tests.benchmarks.scenes.relief import relief, unit
 from tests.benchmarks.scenes.ropes import Curve, headings, normals
-from tests.benchmarks.scenes.several_ropes import picture, relief
+from tests.benchmarks.scenes.several_ropes import on_a_table
 
 Array = npt.NDArray[np.float64]
 Motion = Literal["crossing", "touching", "slow hand", "fast hand", "leaving"]
@@ -28,7 +29,7 @@ _MOVE: Final = (20, 50)  # frames of a movement
 _REVERSED: Final = 0.15  # probability that a movement goes back where the last ones came from
 _CALM: Final = 4.0  # fastest point under a hand, in pixels a frame
 _HAND: Final[dict[Motion, tuple[float, float]]] = {"slow hand": (4.0, 8.0), "fast hand": (25.0, 45.0)}
-_LIGHT: Final = np.array([-0.35, -0.3, 0.89])
+_LIGHT: Final = unit(np.array([-0.35, -0.3, 0.89]))
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,7 @@ def moving_ropes(
         if pictures:
             lifted = [np.full(len(curve), float(order[k])) for k, curve in enumerate(curves)]
             top = relief(curves, [thick] * count, lifted, size, _LIGHT)
-            rgb = picture(top, colour, np.array([170.0, 165, 150]), _LIGHT, thick, np.random.default_rng(seed))
+            rgb = on_a_table(np.random.default_rng(seed), top, _LIGHT, colour)
             rgb[hand] = (205, 160, 135)
         visible = tuple(_is_seen(curve, hand) for curve in curves)
         yield Moment(curves, (thick,) * count, visible, np.where(hand, np.uint8(0), mask), hand, rgb)
@@ -209,7 +210,7 @@ def _calm(rng: np.random.Generator, count: int, size: tuple[int, int], width: fl
     """Let ropes that may cross sway about their places."""
     laid = None
     while laid is None:
-        laid = lay_ropes(rng, count, int(rng.integers(3)), Table(size, width, 0.0, np.deg2rad(40), 3.0))
+        laid = lay_ropes(rng, count, int(rng.integers(3)), Table(size, width, 0.0, np.deg2rad(40)))
     middles = [np.array([*curve.mean(axis=0), 0.0]) for curve in laid[0]]
     swings = [_swings(rng, 0.06, 4.0) for _ in range(count)]
     rates, phases = rng.uniform(2, 5, (count, 3)) * 2 * np.pi, rng.uniform(0, 2 * np.pi, (count, 3))
@@ -239,8 +240,8 @@ def _leaving(rng: np.random.Generator, count: int, size: tuple[int, int], width:
 
 def _homes(rng: np.random.Generator, count: int, size: tuple[int, int]) -> Array:
     """Return places next to each other for upright ropes: u, v and the direction in radians, ``(count, 3)``."""
-    tilt = rng.uniform(-0.15, 0.15, count) + np.pi / 2
-    return np.array([[size[1] * (k + 0.5) / count, size[0] * rng.uniform(0.47, 0.53), tilt[k]] for k in range(count)])
+    across, tilt = size[1] * (np.arange(count) + 0.5) / count, rng.uniform(-0.15, 0.15, count) + np.pi / 2
+    return np.stack([across, size[0] * rng.uniform(0.47, 0.53, count), tilt], axis=1)
 
 
 def _swings(rng: np.random.Generator, much: float, times: float) -> Callable[[float], Array]:

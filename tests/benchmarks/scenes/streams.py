@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import count
 from typing import Final, Literal, NamedTuple
@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.scenes import SIZE, Rope, Sheet, draw_sheet, moving_blob, moving_rope, moving_sheet
+from shape_obs.bench.scenes import SIZE, Rope, draw_sheet, moving_blob, moving_rope, moving_sheet
 from shape_obs.configurations.base import Configuration
 from shape_obs.configurations.centerline import Centerline
 from shape_obs.configurations.contour import Contour
@@ -55,11 +55,6 @@ class Work:
         spec = self.configuration
         return (spec.rows, spec.cols) if isinstance(spec, Surface) else (1, self.n)
 
-    @property
-    def samples(self) -> int:
-        """M, the median number of pixels that a clusterer is given."""
-        return int(np.median([len(scene.pixels) for scene in self.scenes]))
-
 
 def work(name: Name, frames: int, seed: int) -> Work:
     """Draw a sequence of 640 x 480 masks.
@@ -73,12 +68,16 @@ def work(name: Name, frames: int, seed: int) -> Work:
     spec: Configuration
     drawn: Iterable[tuple[Mask, Array | None]]
     if name == "rope":
-        spec, drawn = Centerline(n=20), ((rope.mask, rope.curve) for rope in ropes(frames, seed))
+        spec, drawn = Centerline(n=20), ((rope.mask, rope.curve) for rope in _ropes(frames, seed))
     elif name == "contour":
         blobs = moving_blob(np.random.default_rng(seed), turn=0.02, speed=_SPEED, swell=0.3, frames=frames)
         spec, drawn = Contour(n=32), ((b.mask, np.concatenate([b.outline, b.outline[:1]])) for b in blobs)
     else:
-        spec, drawn = Surface(rows=4, cols=8), ((sheet.mask, None) for sheet in cloths(frames, seed))
+        # Twice as long as wide: its cells are about square. Its way is scaled, so that it stays inside when enlarged.
+        sheets = moving_sheet(np.random.default_rng(seed), _SPEED, frames, aspect=2.0)
+        image, points = np.array(SIZE[::-1]) / 2, (sheet.points for sheet in sheets)
+        scaled = (1.17 * each - 0.47 * each.mean(axis=(0, 1)) + 0.3 * image for each in points)
+        spec, drawn = Surface(rows=4, cols=8), ((draw_sheet(each).mask, None) for each in scaled)
     detector, scenes = ShapeDetector([spec]), []
     for mask, curve in drawn:
         pixels = outline_pixels(mask) if name == "contour" else np.argwhere(mask)[:, ::-1].astype(np.float64)
@@ -86,27 +85,18 @@ def work(name: Name, frames: int, seed: int) -> Work:
     return Work(name, spec, tuple(scenes))
 
 
-def ropes(frames: int, seed: int) -> list[Rope]:
-    """Return the first moving rope from ``seed`` on that stays inside 640 x 480 pixels and covers about 8,000."""
+def _ropes(frames: int, seed: int) -> list[Rope]:
+    """Return the first moving rope from ``seed`` on that keeps off the border and covers about 8,000 pixels."""
     tried = (list(moving_rope(np.random.default_rng(s), _SPEED, frames, length=540.0, width=15.0)) for s in count(seed))
-    return next(found for found in tried if all(_fits(rope.mask) for rope in found))
 
+    def fits(mask: Mask) -> bool:
+        cut = mask[[0, -1]].any() or mask[:, [0, -1]].any()
+        return not cut and _ROPE_AREA[0] <= cv2.countNonZero(mask) <= _ROPE_AREA[1]
 
-def cloths(frames: int, seed: int) -> Iterator[Sheet]:
-    """Draw a moving cloth of about 40,000 of 640 x 480 pixels, twice as long as wide: its cells are about square."""
-    for sheet in moving_sheet(np.random.default_rng(seed), _SPEED, frames, aspect=2.0):
-        middle, image = sheet.points.mean(axis=(0, 1)), np.array(SIZE[::-1]) / 2
-        # It is enlarged, and its way is scaled about the middle of the image so that it stays inside.
-        yield draw_sheet((sheet.points - middle) * 1.17 + image + (middle - image) * 0.7)
+    return next(found for found in tried if all(fits(rope.mask) for rope in found))
 
 
 def outline_pixels(mask: Mask, approximation: int = cv2.CHAIN_APPROX_NONE) -> Array:
     """Return pixels on the outline of the largest object in order, ``(M, 2)`` (u, v); by default all of them."""
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, approximation)
     return np.asarray(max(contours, key=cv2.contourArea), dtype=np.float64).reshape(-1, 2)
-
-
-def _fits(mask: Mask) -> bool:
-    """Return whether a rope keeps off the border of its image and covers ``_ROPE_AREA``."""
-    cut = mask[[0, -1]].any() or mask[:, [0, -1]].any()
-    return not cut and _ROPE_AREA[0] <= cv2.countNonZero(mask) <= _ROPE_AREA[1]

@@ -8,16 +8,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.scenes import SIZE, draw_rope, from_heading, resample
-from tests.benchmarks.scenes.layouts import Table, keeps_away, meetings, turning, unexplained
+from shape_obs.bench.scenes import SIZE, draw_rope, resample
+from tests.benchmarks.scenes.layouts import Table, is_tight, lay_ropes, meetings
 from tests.benchmarks.scenes.ropes import Curve, arcs, place
 
-_TRIES: Final = 20000
-# In widths: the smallest distance between crossings, the shortest piece of rope beyond the last one, and the radius of
-# the tightest bend.
-_APART: Final = 4.0
-_TAIL: Final = 4.0
-_TIGHTEST: Final = 1.5
+_TRIES: Final = 2000
+_APART: Final = 4.0  # widths from one crossing to the next
 # Cuts: the longest hidden stretch over the occluder's width; the shortest visible stretch, in widths and as a share of
 # everything visible (``find_region`` drops less as noise); the distance from the occluder to a crossing, in widths.
 _HIDDEN: Final = 1.5
@@ -40,30 +36,15 @@ class Tangle:
 def crossing_rope(rng: np.random.Generator, crossings: int) -> Tangle:
     """Draw a rope 8 to 16 px thick that crosses itself ``crossings`` times, at 25 degrees or more.
 
-    Crossings are at least four widths apart, and from the tips along the rope; elsewhere strands do not touch.
+    Crossings are at least four widths apart; elsewhere strands do not touch.
     """
     for _ in range(_TRIES):
         width = float(rng.uniform(8, 16))
-        t = np.linspace(0, 1, int(rng.uniform(300, 600) + 150 * crossings))
-        waves = [rng.normal(0, 2.2 / k**0.7) * np.sin(np.pi * k * t + rng.uniform(0, 2 * np.pi)) for k in range(1, 6)]
-        heading = np.sum(waves, axis=0) + rng.uniform(-1.5, 1.5) * np.pi * crossings * t
-        tangle = _drawn(from_heading(heading), rng, width, crossings)
-        if tangle is not None:
-            return tangle
+        table = Table(SIZE, width, smallest_angle=np.deg2rad(25), apart=_APART)
+        laid = lay_ropes(rng, 1, crossings, table)
+        if laid is not None:
+            return _drawn(rng, laid[0][0], width, np.array([each.place for each in laid[1]]).reshape(-1, 2))
     raise RuntimeError(f"no rope with {crossings} crossings found that fits the image.")
-
-
-def looped_rope(rng: np.random.Generator, radius: float, width: float) -> Tangle:
-    """Draw a rope ``width`` px thick with one to three loops, ``radius`` widths, where it crosses itself once each."""
-    loops = int(rng.integers(1, 4))
-    for _ in range(_TRIES):
-        turn, ends = rng.uniform(7, 9.5) * np.pi / 6, rng.uniform(8, 14, 2) * width
-        pieces = [(turn * radius * width, turn), (rng.uniform(7, 12) * width, 0.0)] * loops
-        flat = _bent(arcs((ends[0], 0.0), *pieces[:-1], (ends[1], 0.0)), rng)
-        tangle = _drawn(flat, rng, width, loops, tightest=0.0)
-        if tangle is not None:
-            return tangle
-    raise RuntimeError(f"no rope with {loops} loops of radius {radius} widths found that fits the image.")
 
 
 def touching_rope(rng: np.random.Generator) -> Tangle:
@@ -75,9 +56,9 @@ def touching_rope(rng: np.random.Generator) -> Tangle:
     for _ in range(_TRIES):
         width = float(rng.uniform(8, 16))
         flat = (_keyhole if rng.integers(2) else _once_around)(rng) * width
-        tangle = _drawn(_bent(resample(flat, 1.0), rng), rng, width, 0, apart=False)
-        if tangle is not None:
-            return tangle
+        curve = place(resample(_bent(resample(flat, 1.0), rng), 1.0), rng, SIZE, width)
+        if curve is not None and not is_tight(curve, width) and not meetings(curve, []):
+            return _drawn(rng, curve, width, np.zeros((0, 2)))
     raise RuntimeError("no touching rope found that fits the image.")
 
 
@@ -87,6 +68,7 @@ def cut_rope(rng: np.random.Generator, crossings: int, band: float) -> Tangle:
     Every stretch under the band passes from one side to the other, every visible stretch is long enough to be
     recognised as rope, and the band covers no crossing.
     """
+    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
     for _ in range(_TRIES):
         whole = crossing_rope(rng, crossings)
         for _ in range(20):
@@ -97,46 +79,15 @@ def cut_rope(rng: np.random.Generator, crossings: int, band: float) -> Tangle:
             hidden = np.abs(across) <= band / 2
             clear = np.abs(whole.crossings @ normal - middle) > band / 2 + _CLEAR * whole.width
             if clear.all() and _is_passed(across, hidden, whole.width, band):
-                rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
                 seen = np.abs(columns * normal[0] + rows * normal[1] - middle) > band / 2
                 mask = np.where(seen, whole.mask, np.uint8(0))
                 return Tangle(whole.curve, whole.width, mask, whole.crossings, hidden)
     raise RuntimeError(f"no cut of {band} pixels found that every strand passes.")
 
 
-def _drawn(
-    flat: Curve,
-    rng: np.random.Generator,
-    width: float,
-    crossings: int,
-    *,
-    tightest: float = _TIGHTEST,
-    apart: bool = True,
-) -> Tangle | None:
-    """Place and draw a curve if it fits the image, crosses itself so often and touches itself nowhere else.
-
-    Args:
-        flat: ``(P, 2)`` pixels.
-        rng: Draws the place and the form of the tips.
-        width: Of the rope, pixels.
-        crossings: How many.
-        tightest: The smallest bend radius, widths.
-        apart: Whether strands must not touch.
-    """
-    curve = place(resample(flat, 1.0), rng, SIZE, width)
-    if curve is None or (turning(curve, width) * tightest > 1).any():
-        return None
-    found, table = meetings(curve, []), Table(SIZE, width, smallest_angle=np.deg2rad(25), apart=_APART)
-    ends = [min(at, len(curve) - 1 - at) for m in found for at in (m.a, m.b)]
-    if len(found) != crossings or min(ends, default=np.inf) < _TAIL * width:
-        return None
-    if apart and not all(keeps_away(m, found[:k], [curve], table) for k, m in enumerate(found)):
-        return None
-    if apart and len(unexplained(curve, curve, found, table)[0]):
-        return None
+def _drawn(rng: np.random.Generator, curve: Curve, width: float, crossings: Curve) -> Tangle:
     rope = draw_rope(curve, width, flat_caps=bool(rng.integers(2)))
-    places = np.array([meeting.place for meeting in found]).reshape(-1, 2)
-    return Tangle(rope.curve, width, rope.mask, places, np.zeros(len(rope.curve), bool))
+    return Tangle(rope.curve, width, rope.mask, crossings, np.zeros(len(rope.curve), bool))
 
 
 def _keyhole(rng: np.random.Generator) -> Curve:
