@@ -11,6 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.distance import cdist
 
 from shape_obs.bench.photos import BLUE, photographed
@@ -118,15 +120,25 @@ def cold_tangle(scene: tuple[str, Tangle]) -> Row:
 
 def longest_path(skeleton: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
     """Return the longest shortest path between pixels of a skeleton, by two sweeps: ``(P, 2)`` pixels (u, v)."""
-    from skimage.graph import MCP_Geometric
-
-    path = [tuple(np.argwhere(skeleton)[0])]
-    for _ in range(2):
-        graph = MCP_Geometric(np.where(skeleton, 1.0, -1.0))
-        reached = graph.find_costs([path[-1]])[0]
-        farthest = int(np.argmax(np.where(np.isfinite(reached), reached, -1)))
-        path = graph.traceback(np.unravel_index(farthest, skeleton.shape))
-    return np.array(path, dtype=np.float64)[:, ::-1]
+    rows, columns = np.nonzero(skeleton)
+    index = np.full((skeleton.shape[0] + 2, skeleton.shape[1] + 2), -1)
+    index[rows + 1, columns + 1] = np.arange(len(rows))
+    first, second, length = [], [], []
+    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        there = index[rows + 1 + down, columns + 1 + right]
+        first.append(np.flatnonzero(there >= 0))
+        second.append(there[there >= 0])
+        length.append(np.full(len(second[-1]), np.hypot(down, right)))
+    # The graph functions of older SciPy versions take only 32-bit integers.
+    pairs = tuple(np.concatenate(ends).astype(np.int32) for ends in (first, second))
+    graph = coo_array((np.concatenate(length), pairs), shape=(len(rows), len(rows))).tocsr()
+    reached = dijkstra(graph, directed=False, indices=0)
+    start = int(np.argmax(np.where(np.isfinite(reached), reached, -1)))
+    reached, previous = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
+    path = [int(np.argmax(np.where(np.isfinite(reached), reached, -1)))]
+    while previous[path[-1]] >= 0:
+        path.append(int(previous[path[-1]]))
+    return np.stack([columns[path], rows[path]], axis=1).astype(np.float64)
 
 
 def disturbed(effort: Effort) -> Iterator[tuple[str, float, Rope, Any]]:
