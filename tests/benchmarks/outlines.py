@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import chain, product
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,9 @@ from tests.benchmarks.tables import Column, Row, failures, mean, median, of, tot
 
 COUNTS: Final = (16, 32, 64)
 Objects = Mapping[str, Callable[[np.random.Generator, int], npt.NDArray[np.float64]]]
+Follow = Callable[[Iterator[FlatScene], View, bool], Iterator[Row]]  # scenes, and whether there is depth -> ``claimed``
+Track = tuple[Row, Iterator[Row]]  # labels, and the rows of ``claimed``
+Scenes = Callable[[Effort], Iterator[Track]]
 # Motions that are tracked: keywords of ``moving_blob``, which by default turns by 0.08 rad per frame.
 MOTIONS: Final[dict[str, dict[str, Any]]] = {
     "ring": {},
@@ -42,16 +45,6 @@ SPEEDS: Final = (0.5, 1, 2, 4, 8, 16)  # of a hand, pixels of a 640 x 480 image 
 SWINGS: Final = (8, 16, 40)
 _OBJECTS: Final[Objects] = {"ring": lambda rng, seed: ring(rng, True), "blob": lambda rng, seed: ring(rng, False)}
 _FINE: Final = 64  # places on the true outline to a gap
-
-
-class FlatTrack(NamedTuple):
-    """A flat object that moves, or that a hand covers."""
-
-    scenes: Iterator[FlatScene]
-    view: View
-    name: str
-    motion: str
-    depth: bool  # whether the detector is given depth
 
 
 def drawn_blobs(effort: Effort) -> Iterator[Blob]:
@@ -105,49 +98,52 @@ def follow_outline(scene: tuple[int, str]) -> Row:
     )
 
 
-def hands(objects: Objects, places: tuple[Hand, ...], depth: bool) -> Callable[[Effort], Iterator[FlatTrack]]:
+def hands(objects: Objects, follow: Follow, places: tuple[Hand, ...], depth: bool) -> Scenes:
     """Return the scenes of objects over the border of which a hand comes, stays and goes.
 
     Args:
         objects: Name -> takes a generator and a seed, and returns a material grid.
+        follow: How they are tracked.
         places: What the hand covers.
         depth: Whether there is depth.
     """
 
-    def scenes(effort: Effort) -> Iterator[FlatTrack]:
+    def scenes(effort: Effort) -> Iterator[Track]:
         every = product(VIEWS, objects.items(), places, (0.0, 4.0), effort.seeds(50), SPEEDS)
         for view, (name, make), place, moving, seed, speed in every:
             rng = np.random.default_rng((seed, round(10 * speed)))
             drawn = under_hand(rng, make(rng, seed), view, place, speed, moving, level=not depth)
-            yield FlatTrack(drawn, view, name, f"hand on a {place}, {moving:g} px", depth)
+            labels = Row(rows=view.height, object=name, motion=f"hand on a {place}, {moving:g} px")
+            yield labels, follow(drawn, view, depth)
 
     return scenes
 
 
 def swings(
-    objects: Objects, motions: tuple[Motion, ...], noise: bool, views: tuple[View, ...] = VIEWS
-) -> Callable[[Effort], Iterator[FlatTrack]]:
+    objects: Objects, follow: Follow, motions: tuple[Motion, ...], noise: bool, views: tuple[View, ...] = VIEWS
+) -> Scenes:
     """Return the scenes of objects that are swung through the air, with exact depth or that of a D455."""
 
-    def scenes(effort: Effort) -> Iterator[FlatTrack]:
+    def scenes(effort: Effort) -> Iterator[Track]:
         every = product(views, objects.items(), motions, effort.seeds(50), SWINGS)
         for view, (name, make), motion, seed, speed in every:
             rng = np.random.default_rng((seed, round(10 * speed)))
             drawn = in_space(rng, make(rng, seed), view, motion, speed)
             drawn = noisy_depth(drawn, view, seed) if noise else drawn
-            yield FlatTrack(drawn, view, name, motion + ("" if view.wall else ", no wall"), True)
+            labels = Row(rows=view.height, object=name, motion=motion + ("" if view.wall else ", no wall"))
+            yield labels, follow(drawn, view, True)
 
     return scenes
 
 
-def follow_hidden(scene: FlatTrack) -> Row:
-    """Track an outline of which a part is hidden or bent, and count what was claimed of its points."""
-    frames = seen_outline(scene.scenes, scene.view, scene.depth)
-    return visible_row(frames, rows=scene.view.height, object=scene.name, motion=scene.motion)
+def hidden_row(track: Track) -> Row:
+    """Count what was claimed of the points of a tracked object, of which a part is hidden or bent."""
+    labels, frames = track
+    return visible_row(frames, **labels)
 
 
 def seen_outline(scenes: Iterable[FlatScene], view: View, with_depth: bool) -> Iterator[Row]:
-    """Track an outline with equal gaps in space where there is depth; yield the rows of ``visible_row``."""
+    """Track an outline with equal gaps in space where there is depth; yield the rows of ``claimed``."""
     detector = ShapeDetector([Contour(spacing="m" if with_depth else "px")], on_invalid="interpolate")
     name, start, count = 0, 0.0, 32
     for scene in scenes:
@@ -218,14 +214,14 @@ CLAIMS: Final = (
     ),
     *(
         Claim(f"outlines.hands.{name}", f"Rings and blobs over which a hand comes, stays and goes: {name}.",
-              hands(_OBJECTS, ("side",), depth), follow_hidden, ("rows", "object", "motion"), VISIBLE,
+              hands(_OBJECTS, seen_outline, ("side",), depth), hidden_row, ("rows", "object", "motion"), VISIBLE,
               limits=VISIBLE_LIMITS)
         for name, depth in (("mask", False), ("depth", True))
     ),
     *(
         Claim(f"outlines.space.{name}", f"Rings and blobs that are tilted, or of which a side bends up: depth {name}.",
-              swings(_OBJECTS, ("tilted", "corner up"), noise), follow_hidden, ("rows", "object", "motion"), VISIBLE,
-              limits=VISIBLE_LIMITS)
+              swings(_OBJECTS, seen_outline, ("tilted", "corner up"), noise), hidden_row, ("rows", "object", "motion"),
+              VISIBLE, limits=VISIBLE_LIMITS)
         for name, noise in (("exact", False), ("noisy", True))
     ),
 )  # fmt: skip

@@ -33,7 +33,7 @@ ASPECTS: Final = (1.0, 1.5, 2.0, 3.0, 1 / 2, 1 / 3)  # of drawn cloths
 _UNDECIDED: Final = 2.0
 FAR: Final = 0.010  # metres; the mean error of a frame that must not be called ok
 _FINE: Final = 8000  # steps of a known curve, a tenth of a pixel or so each
-_BEYOND: Final = 200  # steps by which it is continued at its ends
+_BEYOND: Final = 40  # steps by which it is continued at its ends: less than to the next strand of a narrow coil
 _PER_GAP: Final = 50  # points of a simulator's truth for each gap
 
 

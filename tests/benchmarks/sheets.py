@@ -14,7 +14,7 @@ from shape_obs.configurations.surface import Surface
 from shape_obs.detector import ShapeDetector
 from tests.benchmarks import cold, followed
 from tests.benchmarks.claim import Claim, Effort, Limit
-from tests.benchmarks.outlines import VIEWS, FlatTrack, Objects, hands, swings
+from tests.benchmarks.outlines import VIEWS, Objects, hands, hidden_row, swings
 from tests.benchmarks.scenes.flat_objects import FlatScene, Hand, Motion, View, cloth
 from tests.benchmarks.scenes.sheets import random_sheet, true_lattice, turning_sheet
 from tests.benchmarks.scores import (
@@ -29,7 +29,6 @@ from tests.benchmarks.scores import (
     off_lattice,
     score_sheet,
     tally,
-    visible_row,
 )
 from tests.benchmarks.tables import Row, failures, mean, of, total, worst
 
@@ -83,14 +82,8 @@ def follow(scene: tuple[str, list[Sheet]]) -> Row:
     return Row(tally(scores), motion=motion, not_ok=not_ok, move=float(max(moves)), distance=distance, cold_wrong=wrong)
 
 
-def follow_hidden(scene: FlatTrack) -> Row:
-    """Track a cloth of which a part is hidden or bent, and count what was claimed of its points."""
-    frames = seen_points(scene.scenes, scene.view, scene.depth)
-    return visible_row(frames, rows=scene.view.height, motion=scene.motion)
-
-
 def seen_points(scenes: Iterable[FlatScene], view: View, with_depth: bool) -> Iterator[Row]:
-    """Track a cloth with equal gaps in space where there is depth; yield the rows of ``visible_row``."""
+    """Track a cloth with equal gaps in space where there is depth; yield the rows of ``claimed``."""
     spec = Surface(rows=4, cols=8, spacing="m" if with_depth else "px")
     detector, name, corner = ShapeDetector([spec], on_invalid="interpolate"), 0, 0
     for scene in scenes:
@@ -140,13 +133,14 @@ CLAIMS: Final = (
     ),
     *(
         Claim(f"sheets.hands.{name}", f"Cloths over a corner or a side of which a hand comes, stays and goes: {name}.",
-              hands(_CLOTH, get_args(Hand), depth), follow_hidden, ("rows", "motion"), VISIBLE, limits=VISIBLE_LIMITS)
+              hands(_CLOTH, seen_points, get_args(Hand), depth), hidden_row, ("rows", "motion"), VISIBLE,
+              limits=VISIBLE_LIMITS)
         for name, depth in (("mask", False), ("depth", True))
     ),
     *(
         Claim(f"sheets.space.{name}", f"Cloths that are tilted, bent up at a corner, or folded: depth {name}.",
-              swings(_CLOTH, get_args(Motion), noise, (*VIEWS, View(wall=False))), follow_hidden, ("rows", "motion"),
-              VISIBLE, limits=tuple(replace(each, known=_FOLDED) for each in VISIBLE_LIMITS))
+              swings(_CLOTH, seen_points, get_args(Motion), noise, (*VIEWS, View(wall=False))), hidden_row,
+              ("rows", "motion"), VISIBLE, limits=tuple(replace(each, known=_FOLDED) for each in VISIBLE_LIMITS))
         for name, noise in (("exact", False), ("noisy", True))
     ),
 )  # fmt: skip

@@ -12,74 +12,58 @@ from itertools import product
 from typing import Any, Final, get_args
 
 import numpy as np
-import numpy.typing as npt
 
 from tests.benchmarks import ENVS
 from tests.benchmarks.claim import Claim, Effort, Limit
 from tests.benchmarks.envs import Setting, episodes
 from tests.benchmarks.hidden import COVERS, covered_rope, swinging_rope
 from tests.benchmarks.outlines import VIEWS, seen_outline
-from tests.benchmarks.scenes.flat_objects import FlatScene, Hand, Motion, View, cloth, in_space, noisy_depth, ring
-from tests.benchmarks.scenes.flat_objects import under_hand as hand_over
+from tests.benchmarks.scenes.flat_objects import Hand, Motion, cloth, in_space, noisy_depth, ring, under_hand
 from tests.benchmarks.sheets import seen_points
 from tests.benchmarks.tables import Column, Row
 
-Array = npt.NDArray[np.float64]
+Track = tuple[str, bool, Iterable[Row]]  # its kind, whether there is depth, and the rows of ``scores.claimed``
 #: Radius within which 90 % of normally distributed errors lie, in standard deviations per axis: by the dimension.
 WITHIN: Final = {2: 2.146, 3: 2.500}
 
 
-def ropes(effort: Effort) -> Iterator[tuple[str, bool, Callable[[], Iterable[Row]]]]:
-    """Return the covered ropes with and without depth, and the swung ones, in two image sizes."""
+def ropes(effort: Effort) -> Iterator[Track]:
+    """Track covered ropes with and without depth, and swung ones, in two image sizes."""
     for depth, cover, seed, approach, speed in product((False, True), COVERS, effort.seeds(8), (1.0, 8.0), (0.0, 3.0)):
-        track = {"seed": seed, "cover": cover, "approach": approach, "speed": speed, "depth": depth, "noise": depth}
-        yield f"rope, {cover}", depth, lambda track=track: _believed(covered_rope(**track))
+        yield f"rope, {cover}", depth, covered_rope(seed, cover, approach, speed, depth=depth, noise=depth)
     for (small, size), seed in product((("", (480, 640)), (", 160x120", (120, 160))), effort.seeds(8)):
         frames = max(round(300 * min(4 * effort.share, 1)), 60)
-        swing = {"seed": seed, "hertz": 33.0, "noise": True, "size": size, "frames": frames}
-        yield f"rope, swung{small}", True, lambda swing=swing: _believed(swinging_rope(**swing))
+        yield f"rope, swung{small}", True, swinging_rope(seed, 33.0, noise=True, frames=frames, size=size)
 
 
-def flat_objects(effort: Effort) -> Iterator[tuple[str, bool, Callable[[], Iterable[Row]]]]:
-    """Return cloths and outlines under hands, with and without depth, tilted, bent and folded."""
+def flat_objects(effort: Effort) -> Iterator[Track]:
+    """Track cloths and outlines under hands, with and without depth, tilted, bent and folded."""
     for depth, view, seed in product((False, True), VIEWS, effort.seeds(8)):
         rng, small = np.random.default_rng(seed), "" if view.height == 480 else ", 160x120"
         moving, speed = (0.0, 4.0)[seed % 2], (1.0, 4.0, 16.0)[seed % 3]
         for name, flat in (("cloth", cloth((1.0, 1.5, 2.0)[seed % 3])), ("outline", ring(rng, bool(seed % 2)))):
             hands: tuple[Hand, ...] = get_args(Hand) if name == "cloth" else ("side",)
             motions: tuple[Motion, ...] = get_args(Motion) if name == "cloth" else ("tilted", "corner up")
-            drawn = [("hand", hand_over(rng, flat, view, place, speed, moving, level=not depth)) for place in hands]
+            drawn = [("hand", under_hand(rng, flat, view, place, speed, moving, level=not depth)) for place in hands]
             if depth:
                 drawn += [(motion, in_space(rng, flat, view, motion, (8.0, 16.0)[seed % 2])) for motion in motions]
             for what, scenes in drawn:
-                yield f"{name}, {what}{small}", depth, _flat(name, scenes, view, depth, seed)
+                measured = noisy_depth(scenes, view, seed) if depth else scenes
+                follow = seen_points if name == "cloth" else seen_outline
+                yield f"{name}, {what}{small}", depth, follow(measured, view, depth)
 
 
-def _flat(name: str, scenes: Iterator[FlatScene], view: View, depth: bool, seed: int) -> Callable[[], Iterator[Row]]:
-    follow = seen_points if name == "cloth" else seen_outline
-
-    def found() -> Iterator[Row]:
-        measured = noisy_depth(scenes, view, seed) if depth else scenes
-        return _believed(follow(measured, view, depth))
-
-    return found
-
-
-def _believed(frames: Iterable[Row]) -> Iterator[Row]:
-    return (row.belief for row in frames if row.ok)
-
-
-def environments(effort: Effort) -> Iterator[tuple[str, bool, Callable[[], Iterable[Row]]]]:
+def environments(effort: Effort) -> Iterator[Track]:
     """Return the simulated environments under random actions."""
     for env, seed in product(ENVS, effort.seeds(8)):
-        setting = Setting(env, "d455", "noise", effort.renderer)
-        yield f"{env}-v0", True, lambda setting=setting, seed=seed: episodes(setting, [seed])[0].beliefs
+        found = episodes(Setting(env, "d455", "noise", effort.renderer), [seed])[0].beliefs
+        yield f"{env}-v0", True, (Row(ok=True, belief=belief) for belief in found)
 
 
-def beliefs(scene: tuple[str, bool, Callable[[], Iterable[Row]]]) -> Iterator[Row]:
-    """Track an object; yield for each ok frame a row of ``scores.belief`` with its kind and what was given."""
-    kind, depth, track = scene
-    return (Row(row, kind=kind, given="D455 depth" if depth else "mask") for row in track())
+def beliefs(scene: Track) -> Iterator[Row]:
+    """Return for each ok frame of a track a row of ``scores.belief`` with its kind and what was given."""
+    kind, depth, frames = scene
+    return (Row(row.belief, kind=kind, given="D455 depth" if depth else "mask") for row in frames if row.ok)
 
 
 def _shares(rows: Sequence[Row], hidden: bool) -> float | None:

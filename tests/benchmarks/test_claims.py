@@ -36,7 +36,7 @@ def missed(claim: Claim, effort: Effort) -> list[Row]:
         ("sheets.cold", 0.25, 3),
         ("clouds.cold", 0.06, 0),
         ("clouds.tilted", 0.1, 0),
-        ("several.above", 0.01, 3),
+        ("several.above", 0.01, 0),
         ("calibration.touches", 0.1, 0),
     ],
 )

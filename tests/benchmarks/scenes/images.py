@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.bench.scenes import draw_blob, rotation
+from shape_obs.bench.scenes import blank, covered, rotation, subpixel
 from shape_obs.camera import Intrinsics
 from tests.benchmarks.scenes.ropes import Kind, bend_radius, random_rope
 
@@ -76,10 +76,13 @@ def tilted_rope(rng: np.random.Generator, kind: Kind = "smooth") -> TiltedRope:
 def tilted_sheet(rng: np.random.Generator) -> TiltedSheet:
     """Draw a flat sheet on a plane that leans by 30 to 45 degrees, turned by at most 20 degrees in the plane."""
     normal = _leaning(rng)
-    right = np.cross((0.0, 1.0, 0.0), normal)
-    axes = rotation(rng.uniform(-0.35, 0.35)) @ np.stack([right / np.linalg.norm(right), np.cross(normal, right)])
+    right = np.array([1.0, 0, 0]) - normal * normal[0]
+    right /= np.linalg.norm(right)
+    axes = rotation(-rng.uniform(-0.35, 0.35)) @ np.stack([right, np.cross(normal, right)])
     corners = np.array([(-0.18, -0.12), (0.18, -0.12), (0.18, 0.12), (-0.18, 0.12)]) @ axes + (0.0, 0.0, 0.8)
-    mask = draw_blob(CAMERA.project(corners)).mask
+    canvas = blank((480, 640))
+    cv2.fillPoly(canvas, [subpixel(CAMERA.project(corners))], (255,), shift=8)
+    mask = covered(canvas)
     return TiltedSheet(mask, _depth(rng, mask, normal, 0.8), corners)
 
 
