@@ -17,8 +17,7 @@ from shape_obs import load_config, save_config
 from shape_obs.bench.scenes import draw_rope
 from shape_obs.cli import main
 
-sync_api = pytest.importorskip("playwright.sync_api")
-pytestmark = needs("nicegui")
+pytestmark = needs("nicegui", "playwright")
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "real" / "blue_rope_640x480.png"
 CAMERA = Path(__file__).parents[1] / "support" / "tuner_camera.py"
@@ -29,7 +28,9 @@ BLUE = {"kind": "hsv", "low": [100, 120, 40], "high": [130, 255, 255]}
 
 @pytest.fixture(scope="module")
 def browser():
-    with sync_api.sync_playwright() as playwright:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
         path = chromium(playwright)
         if path is None:
             pytest.skip("no Chromium: neither on the PATH nor installed by Playwright")
@@ -62,12 +63,19 @@ def photos(tmp_path, drawn) -> Path:
     return folder
 
 
+def expect(locator):
+    """Return Playwright's assertions of a locator; collecting the tests does not load it."""
+    from playwright import sync_api
+
+    return sync_api.expect(locator)
+
+
 def opened(browser, url, size=LAPTOP):
     page = browser.new_page(viewport=size)
     page.set_default_timeout(PATIENCE)
     page.goto(url)
     image = page.locator(".tune-pick img")
-    sync_api.expect(image).to_be_visible(timeout=PATIENCE)
+    expect(image).to_be_visible(timeout=PATIENCE)
     page.wait_for_function("document.querySelector('.tune-pick img').src.startsWith('blob:')")
     return page
 
@@ -86,7 +94,7 @@ def press(slider, key):
 
 
 def expect_text(page, selector, text):
-    sync_api.expect(page.locator(selector).first).to_contain_text(text, timeout=PATIENCE)
+    expect(page.locator(selector).first).to_contain_text(text, timeout=PATIENCE)
 
 
 def detected(capsys, photo, config, out):
@@ -111,16 +119,16 @@ def test_from_a_click_to_a_file_that_gives_the_same_points(browser, which, drawn
         for _ in range(5):
             press(page.get_by_role("slider", name="Points N"), "ArrowRight")
         # A busy machine may drop a key that is pressed while the page is drawn again.
-        sync_api.expect(page.locator(".found").first).to_contain_text(re.compile("2[1-5] points"), timeout=PATIENCE)
+        expect(page.locator(".found").first).to_contain_text(re.compile("2[1-5] points"), timeout=PATIENCE)
         page.get_by_role("button", name="Undo").click()
         expect_text(page, ".found", "20 points, all visible")
 
         slider = page.get_by_role("slider", name="Strictness")
         before = float(slider.get_attribute("aria-valuenow"))
         press(slider, "ArrowLeft")
-        sync_api.expect(slider).not_to_have_attribute("aria-valuenow", f"{before:g}", timeout=PATIENCE)
+        expect(slider).not_to_have_attribute("aria-valuenow", f"{before:g}", timeout=PATIENCE)
         page.get_by_role("tab", name="Points").click()
-        sync_api.expect(page.locator(".points tbody tr")).to_have_count(20, timeout=PATIENCE)
+        expect(page.locator(".points tbody tr")).to_have_count(20, timeout=PATIENCE)
         cells = page.locator(".points tbody tr").all_inner_texts()
         shown = np.array([row.split("\t")[2:4] for row in cells], float)
 
@@ -145,9 +153,9 @@ def test_a_phone_and_a_laptop_show_the_same_within_their_width(browser, drawn, t
         click_at(phone, 20, 20)
         expect_text(phone, ".proposal + button", "Clear 2 clicks")
         laptop.get_by_role("tab", name="3D").click()
-        sync_api.expect(laptop.locator(".nicegui-scene canvas")).to_be_visible(timeout=PATIENCE)
+        expect(laptop.locator(".nicegui-scene canvas")).to_be_visible(timeout=PATIENCE)
         laptop.get_by_role("tab", name="Points").click()
-        sync_api.expect(laptop.locator(".points tbody tr").first).to_contain_text("0.600", timeout=PATIENCE)
+        expect(laptop.locator(".points tbody tr").first).to_contain_text("0.600", timeout=PATIENCE)
 
 
 @pytest.mark.nightly
@@ -158,9 +166,9 @@ def test_a_recording_ends_and_is_scrubbed(browser, photos, tmp_path):
         expect_text(page, ".found", "20 points")
         page.locator(".scrub").click(position={"x": 2, "y": 10})
         expect_text(page, ".q-badge", "paused")
-        sync_api.expect(page.get_by_text("1 / 40")).to_be_visible(timeout=PATIENCE)
+        expect(page.get_by_text("1 / 40")).to_be_visible(timeout=PATIENCE)
         page.get_by_role("button", name="Step").click()
-        sync_api.expect(page.get_by_text("2 / 40")).to_be_visible(timeout=PATIENCE)
+        expect(page.get_by_text("2 / 40")).to_be_visible(timeout=PATIENCE)
         page.get_by_role("button", name="Play").click()
         expect_text(page, ".q-badge", "playing")
         expect_text(page, ".q-badge", "ended")
