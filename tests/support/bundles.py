@@ -35,13 +35,15 @@ def learner(env, algorithm="SAC", **options) -> Any:
     return getattr(sb3, algorithm)(policy, env, policy_kwargs={"net_arch": [16]}, seed=0, device="cpu", **options)
 
 
-def train(path: Path) -> Any:
+def train(path: Path, **options: Any) -> Any:
     """Return a saved model and its vector env with hindsight replay, normalisation, monitor and curriculum."""
     import stable_baselines3 as sb3
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-    env = VecNormalize(DummyVecEnv([lambda: Monitor(Curriculum(cable(), ["near"]))]), norm_reward=False, epsilon=1e-4)
+    env = VecNormalize(
+        DummyVecEnv([lambda: Monitor(Curriculum(cable(**options), ["near"]))]), norm_reward=False, epsilon=1e-4
+    )
     model = learner(env, replay_buffer_class=sb3.HerReplayBuffer, learning_starts=100)
     model.learn(12)
     save_bundle(model, env, path, summary={"note": "quick"})

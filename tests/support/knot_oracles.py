@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -10,8 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
-
-_PRIME = 2**61 - 1
 
 
 class Cross(NamedTuple):
@@ -52,8 +51,8 @@ def closed_above(rope: Array) -> Array:
     return np.concatenate([rope, [rope[-1] * lift + [0.01, 0.02, top], rope[0] * lift + [0.01, 0.01, top]]])
 
 
-def determinant(curves: Sequence[Array], t: int = -1) -> int:
-    """Return the Alexander polynomial at t up to a unit, modulo a prime; at -1 the determinant as it is.
+def determinant(curves: Sequence[Array]) -> int:
+    """Return the Alexander polynomial at -1, up to its sign.
 
     That of curves that can be pulled apart is 0. From Wirtinger's relations at the crossings: J. W. Alexander,
     "Topological Invariants of Knots and Links", 1928.
@@ -68,16 +67,12 @@ def determinant(curves: Sequence[Array], t: int = -1) -> int:
         before = [n for n in own if cuts[n][1] < at[1]]
         return before[-1] if before else own[-1]
 
-    rows = []
-    for c in crossings:
-        row = [0] * len(cuts)
-        leaving, arriving = cuts.index(c.under), arc(c.under)
-        row[arc(c.over)] += 1 - t
-        row[arriving if c.sign > 0 else leaving] += t
-        row[leaving if c.sign > 0 else arriving] -= 1
-        rows.append(row)
-    value = _determinant([row[1:] for row in rows[1:]])
-    return min(value, _PRIME - value)
+    matrix = np.zeros((len(crossings), len(cuts)))
+    for row, c in zip(matrix, crossings, strict=True):
+        row[arc(c.over)] += 2
+        row[cuts.index(c.under)] -= 1
+        row[arc(c.under)] -= 1
+    return abs(round(np.linalg.det(matrix[1:, 1:])))
 
 
 def bracket(curves: Sequence[Array]) -> dict[int, int]:
@@ -111,30 +106,6 @@ def bracket(curves: Sequence[Array]) -> dict[int, int]:
         loops = sum(parent[n] == n for n in range(len(order))) + free
         for k in range(loops + 1):  # (-A^2 - A^-2) ** loops
             power = len(corners) - 2 * sum(choice) + 2 * loops - 4 * k
-            sums[power] = sums.get(power, 0) + (-1) ** loops * _choose(loops, k)
+            sums[power] = sums.get(power, 0) + (-1) ** loops * math.comb(loops, k)
     writhe = sum(c.sign for c in crossings)
     return {p - 3 * writhe: (-1) ** writhe * x for p, x in sums.items() if x}
-
-
-def _choose(n: int, k: int) -> int:
-    result = 1
-    for i in range(k):
-        result = result * (n - i) // (i + 1)
-    return result
-
-
-def _determinant(rows: list[list[int]]) -> int:
-    value, rows = 1, [[x % _PRIME for x in row] for row in rows]
-    for n in range(len(rows)):
-        pivot = next((r for r in range(n, len(rows)) if rows[r][n]), None)
-        if pivot is None:
-            return 0
-        if pivot != n:
-            rows[n], rows[pivot], value = rows[pivot], rows[n], -value
-        value = value * rows[n][n] % _PRIME
-        inverse = pow(rows[n][n], -1, _PRIME)
-        for r in range(n + 1, len(rows)):
-            factor = rows[r][n] * inverse % _PRIME
-            if factor:
-                rows[r] = [(x - factor * y) % _PRIME for x, y in zip(rows[r], rows[n], strict=True)]
-    return value % _PRIME

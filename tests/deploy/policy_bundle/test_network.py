@@ -119,7 +119,7 @@ raise KeyboardInterrupt
 
 
 def test_a_fresh_process_acts_bit_for_bit_and_leaves_nothing(tmp_path):
-    """The last bundle has a fitted file, which lies in a temporary folder until the process ends."""
+    """The last bundle has a fitted file, which travels along: it lies in a temporary folder until the process ends."""
     work, expected = [], []
     for name in models():
         model, env = made(name)
@@ -175,7 +175,15 @@ def fitted(folder: Path) -> tuple[Path, list[Any], list[Any]]:
     env = wrapped(gym.make(registered(), disable_env_checker=True), features=[{"kind": "pca", "file": str(file)}])
     model = learner(env, "PPO", n_steps=4, batch_size=4)
     save_bundle(model, env, folder / "fitted.policy")
-    seen = [env.observation_space.sample()]
+    seen = [env.reset(seed=0)[0]]
+    file.unlink()
+    bundle = load_bundle(folder / "fitted.policy")
+    np.testing.assert_array_equal(bundle.make_env().reset(seed=0)[0], seen[0])
+    assert bundle.record.config is not None
+    extracted = Path(bundle.record.config["features"][0]["file"]).parent
+    assert extracted.is_dir()
+    del bundle
+    assert not extracted.exists()
     return folder / "fitted.policy", seen, [model.predict(seen[0], deterministic=True)[0]]
 
 
@@ -210,14 +218,10 @@ class TestTrust:
         observation = env.observation_space.sample()
         np.testing.assert_array_equal(bundle.act(observation), model.predict(observation, deterministic=True)[0])
 
-    def test_a_class_that_cannot_be_imported_is_not_saved(self, tmp_path):
-        import stable_baselines3 as sb3
-        from stable_baselines3.common.torch_layers import FlattenExtractor
 
-        class Local(FlattenExtractor):
+        class Local(OwnExtractor):
             pass
 
-        env = switches()
         kwargs = {"features_extractor_class": Local}
         model = sb3.PPO("MlpPolicy", env, n_steps=4, batch_size=4, policy_kwargs=kwargs, seed=0, device="cpu")
         with pytest.raises(BundleError, match="Local cannot be imported; define it at the top of a module"):

@@ -12,7 +12,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
-from gymnasium.utils.env_checker import check_env
 from hypothesis import given
 from hypothesis import strategies as st
 from rope_env import PixelEnv, RopeEnv
@@ -158,17 +157,12 @@ def test_it_is_rebuilt_from_json():
     ],
 )
 def test_bad_arguments(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        D455Noise(Images(np.full(SMALL, 1.0, np.float32)), **arguments)
-
-
-def test_a_depth_space_without_zero_is_refused():
     env = Images(np.full(SMALL, 1.0, np.float32))
+    with pytest.raises(ValueError, match=message):
+        D455Noise(env, **arguments)
     space: Any = env.observation_space
     space.spaces["depth"] = gym.spaces.Box(0.1, 5.0, SMALL, np.float32)
-    with pytest.raises(
-        ValueError, match=r"observation\['depth'\]: a hole is 0, which the space must contain, got low 0.1"
-    ):
+    with pytest.raises(ValueError, match=r"a hole is 0, which the space must contain, got low 0.1"):
         D455Noise(env)
 
 
@@ -178,16 +172,6 @@ def test_a_depth_space_without_zero_is_refused():
 def cable(**kwargs: Any) -> gym.Env[Any, Any]:
     pytest.importorskip("mujoco")
     return gym.make("shape_obs_envs:ShapeObs/Cable-v0", **{"camera": [84, 84], "renderer": "rays", **kwargs})
-
-
-@pytest.mark.nightly
-@pytest.mark.filterwarnings("ignore:.*:UserWarning")
-def test_both_checkers_pass():
-    sb3 = pytest.importorskip("stable_baselines3.common.env_checker")
-    noisy = D455Noise(cable())
-    for env in (noisy, ShapeObservation(noisy), D455Noise(cable(camera=[32, 32]), fast=False)):
-        check_env(env, skip_render_check=True)
-        sb3.check_env(env, warn=False)
 
 
 def test_rewards_are_those_of_the_env_inside():

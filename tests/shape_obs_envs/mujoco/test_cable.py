@@ -31,28 +31,6 @@ def env():
     env.close()
 
 
-@pytest.fixture(scope="module")
-def episodes():
-    """Return shapes (E, T, 100, 3), pixels (E, T, 100, 2), tips and targets of 12 episodes of held actions."""
-    env = make(render_observation=False)  # the pictures are not looked at
-    rng = np.random.default_rng(0)
-    points, pixels, goals, targets = [], [], [], []
-    action = np.zeros(6, np.float32)
-    for seed in range(12):
-        observation, _ = env.reset(seed=seed)
-        goals.append(observation["desired_goal"].reshape(-1, 3))
-        for k in range(50):
-            if k % 8 == 0:  # held: white noise moves the grippers much less
-                action = rng.uniform(-1, 1, 6).astype(np.float32)
-            observation, *_ = env.step(action)
-            assert env.observation_space.contains(observation)
-            targets.append(env._target.copy())
-            if k % 5 == 4:
-                points.append(env.truth(100))
-                pixels.append(env.truth(100, frame="pixels"))
-    return np.array(points), np.array(pixels), np.array(goals), np.array(targets)
-
-
 def test_reward_by_hand():
     achieved, desired = np.zeros(6, np.float32), np.array([3, 4, 0, 0, 0, 1], np.float32) / 100
     assert make().compute_reward(achieved, desired, {}) == pytest.approx(-0.03)
@@ -86,28 +64,30 @@ def test_truth_is_equidistant_and_runs_from_tip_to_tip(env):
     assert np.allclose(observation["gripper"][3:5], heading[:2] / np.linalg.norm(heading), atol=1e-5)
 
 
-def test_the_rope_keeps_its_length_and_does_not_touch_itself(episodes):
-    points, _, goals, _ = episodes
-    for shapes, slack in ((points, 5e-3), (goals, 0.04)):  # chords are shorter than the arc
+def test_the_rope_keeps_its_length_and_does_not_touch_itself_and_grippers_leave_it_slack():
+    env = make(render_observation=False)  # the pictures are not looked at
+    rng = np.random.default_rng(0)
+    points, goals, targets = [], [], []
+    action = np.zeros(6, np.float32)
+    for seed in range(12):
+        observation, _ = env.reset(seed=seed)
+        goals.append(observation["desired_goal"].reshape(-1, 3))
+        for k in range(50):
+            if k % 8 == 0:  # held: white noise moves the grippers much less
+                action = rng.uniform(-1, 1, 6).astype(np.float32)
+            observation, *_ = env.step(action)
+            targets.append(env._target.copy())
+            if k % 5 == 4:
+                points.append(env.truth(100))
+    arc = np.linspace(0, 0.5, 100)
+    for shapes, slack in ((np.array(points), 5e-3), (np.array(goals), 0.04)):  # chords are shorter than the arc
         length = np.linalg.norm(np.diff(shapes, axis=1), axis=2).sum(axis=1)
         assert np.all(length <= 0.5 + 1e-6)
         assert np.all(length > 0.5 - slack)
-    arc = np.linspace(0, 0.5, points.shape[1])
     far = np.abs(arc[:, None] - arc) > 0.048
     closest = [np.linalg.norm(p[:, None] - p, axis=2)[far].min() for p in points]
     assert min(closest) > 0.03  # the rope is 16 mm thick
-
-
-def test_the_whole_rope_stays_in_the_smallest_image(episodes):
-    _, pixels, _, _ = episodes
-    thick = 2  # pixels, half the width and some more
-    assert pixels.min() > thick
-    assert pixels.max() < 83 - thick
-
-
-def test_targets_stay_within_the_strain_limit(episodes):
-    *_, targets = episodes
-    span = np.linalg.norm(targets[:, 1, :2] - targets[:, 0, :2], axis=1)
+    span = np.linalg.norm(np.diff(targets, axis=1)[:, 0, :2], axis=1)
     assert span.max() <= 0.97 * 0.5
     assert span.min() >= 0.25 - 1e-6
 
@@ -123,25 +103,3 @@ def test_actions_move_each_gripper(env):
     assert np.array_equal(env._target, moved)
     # measured poses have caught up
     assert np.abs(env._chain.tip_poses()[:, :2] - moved[:, :2]).max() < 1e-3
-    with pytest.raises(ValueError, match=r"action: expected \(6,\) finite numbers"):
-        env.step(np.full(6, np.nan, np.float32))
-
-
-@pytest.mark.parametrize(
-    ("kwargs", "message"),
-    [
-        (
-            {"camera": "d445"},
-            r"camera: expected one of 'rl', 'd455' or \[width, height\], got 'd445'. Did you mean 'd455'",
-        ),
-        ({"camera": [84]}, r"camera: expected .* got \[84\]"),
-        ({"camera": [84, 96]}, r"camera: expected a width of at least the height"),
-        ({"camera": [84.0, 84.0]}, r"two whole numbers from 16 to 4096, got \[84.0, 84.0\]"),
-        ({"renderer": "ray"}, r"renderer: expected one of 'auto', 'gl', 'rays', got 'ray'. Did you mean 'rays'"),
-        ({"reward_type": "spars"}, r"reward_type: .* Did you mean 'sparse'"),
-        ({"success_threshold": 0}, r"success_threshold: expected a distance in metres above 0, got 0"),
-    ],
-)
-def test_bad_arguments(kwargs, message):
-    with pytest.raises(ValueError, match=message):
-        make(**kwargs)

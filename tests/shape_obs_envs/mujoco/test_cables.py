@@ -98,9 +98,6 @@ def test_truth_runs_from_end_to_end_of_every_rope(env):
         assert np.allclose(env.anchors[name], env.truth(rope=rope)[0])
         if rope < 2:
             assert np.allclose(env._observe()["gripper"].reshape(2, 5)[rope, :3], env.anchors[name], atol=1e-6)
-    camera, local = env.camera_model, env.truth(15, frame="camera", rope=1)
-    assert np.allclose(camera.to_base(local), env.truth(15, rope=1))
-    assert np.allclose(camera.intrinsics.project(local), env.truth(15, frame="pixels", rope=1))
     with pytest.raises(ValueError, match="rope: expected a whole number, from 0 to 2, got 3"):
         env.truth(rope=3)
 
@@ -170,25 +167,19 @@ def test_the_image_shows_the_upper_rope(env):
             assert farther - away > 0.01
 
 
-@pytest.mark.parametrize("ropes", [2, 3])
-def test_ropes_stay_above_or_below_when_they_are_dragged(ropes):
-    env = make(ropes=ropes, render_observation=False)
-    for seed in range(3):
-        start(env, seed)
-        drag(env, seed)
-
-
 @pytest.mark.parametrize(
-    "factors",
+    ("ropes", "factors"),
     [
-        MaterialFactors(0.75, 0.5, 0.5, 1 / 1.6),
-        MaterialFactors(1.25, 2.0, 2.0, 1.6),
-        MaterialFactors(1.25, 0.5, 2.0, 0.7),
+        (2, MaterialFactors()),
+        (3, MaterialFactors()),
+        (3, MaterialFactors(0.75, 0.5, 0.5, 1 / 1.6)),
+        (3, MaterialFactors(1.25, 2.0, 2.0, 1.6)),
+        (3, MaterialFactors(1.25, 0.5, 2.0, 0.7)),
     ],
-    ids=["limp and thin", "stiff and thick", "limp and thick"],
+    ids=["two", "three", "limp and thin", "stiff and thick", "limp and thick"],
 )
-def test_every_material_is_stable(factors):
-    env = make(render_observation=False)
+def test_ropes_of_any_material_stay_above_or_below_when_they_are_dragged(ropes, factors):
+    env = make(ropes=ropes, render_observation=False)
     env._body.set_material(factors)
     for seed in range(2):
         start(env, seed)
@@ -211,21 +202,6 @@ def test_a_gripper_that_pulls_at_a_jammed_rope_stops():
     assert jammed > 0
 
 
-def test_they_come_to_rest(env):
-    for seed in range(2):
-        start(env, seed)
-        rng = np.random.default_rng(seed)
-        for _ in range(4):
-            action = rng.uniform(-1, 1, 6)
-            for _ in range(5):
-                env._move(action)
-        for _ in range(40):
-            env._move(np.zeros(6))
-        before = env.truth(rope="all")
-        env._move(np.zeros(6))
-        assert np.linalg.norm(env.truth(rope="all") - before, axis=1).max() < 1e-3
-
-
 def test_a_dragged_rope_moves_those_that_it_lies_on():
     """The middle of rope 2, whose ends do not move, follows what the others do."""
     env = make(render_observation=False)
@@ -241,18 +217,3 @@ def test_a_dragged_rope_moves_those_that_it_lies_on():
 
 
 # ---- arguments
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"ropes": 4}, r"ropes: expected a whole number, from 2 to 3, got 4"),
-        ({"grippers": 3}, r"grippers: expected a whole number, from 1 to 2, got 3"),
-        ({"rope": 2}, r"rope: expected a whole number, from 0 to 1, got 2"),
-        ({"rope": 1, "grippers": 1}, r"rope: expected a whole number, from 0 to 0, got 1"),
-        ({"rope": "al"}, r"rope: expected one of 'all', got 'al'. Did you mean 'all'"),
-    ],
-)
-def test_bad_arguments_are_refused(options, message):
-    with pytest.raises(ValueError, match=message):
-        make(**options)

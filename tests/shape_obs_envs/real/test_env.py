@@ -139,11 +139,6 @@ def test_a_failing_robot_ends_the_episode():
     assert info["robot_error"] == "the robot is in an emergency stop"
 
 
-def test_images_of_another_size_raise_an_error():
-    with pytest.raises(ValueError, match=r"160 x 120 pixels, the env expects 640 x 480: make it with size="):
-        make_env(size=[640, 480]).reset()
-
-
 def test_the_camera_model_is_nominal_before_and_the_cameras_own_after_the_reset():
     env = make_env()
     assert env.get_wrapper_attr("camera_model").intrinsics.fx == pytest.approx(386 / 4)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from shape_obs.cli import main
-from shape_obs.source import BadRecording, CameraNotFound, RGBDSource
-from shape_obs_envs.sources import EnvSource, FolderSource, open_source
+from shape_obs.source import BadRecording, RGBDSource
+from shape_obs_envs.sources import open_source
 
 CAMERA = """
     import time
@@ -128,29 +128,6 @@ def test_a_module_in_this_folder_that_python_does_not_find_says_so(tmp_path, mon
     with pytest.raises(ImportError, match="cannot import 'no_such_camera': No module named") as caught:
         open_source("no_such_camera:Camera")
     assert "PYTHONPATH" not in str(caught.value)
-
-
-def test_ids_of_environments_and_classes_do_not_clash(module):
-    for word in ("shape_obs_envs:ShapeObs/Cable-v0", "their_module:TheirEnv-v1", "their.module:Env-v0"):
-        source = open_source(word)
-        assert isinstance(source, EnvSource)
-        assert source.name == word
-    assert not isinstance(open_source(f"{module}:Counter"), EnvSource)
-
-
-def test_a_file_or_folder_with_the_name_of_a_camera_is_opened(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for name in ("d455", "webcam"):
-        (tmp_path / name).mkdir()
-        assert isinstance(open_source(name), FolderSource)
-
-
-@pytest.mark.parametrize("word", ["d4555", "webcm", "webcam:", "l515"])
-def test_an_unknown_word_lists_what_there_is(word):
-    with pytest.raises(CameraNotFound, match="is not a camera, path, class or environment") as caught:
-        open_source(word)
-    listed = ("d400", "d405", "d435", "d455:SERIAL", "webcam:0", "FILE.mcap", "FOLDER", "VIDEO.mp4", "module:Class")
-    assert all(form in str(caught.value) for form in (*listed, "ShapeObs/Cable-v0"))
 
 
 def run(capsys, *arguments):

@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import yaml
@@ -19,10 +19,6 @@ from ablation_study import STUDY
 _COMMAND: Final = (sys.executable, "-c", "from shape_obs.cli import main; main()", "ablate")
 _PATIENCE: Final = 300.0  # seconds; far more than the study takes
 _POLL: Final = 0.002  # seconds
-
-Files = dict[Path, bytes]
-Ended = Literal["killed", "finished", "failed"]
-
 _LOG: Final = logging.getLogger(__name__)
 
 
@@ -57,93 +53,64 @@ def killed_studies(folder: Path, kills: int, seed: int = 0) -> Killed:
     file, draw = folder / "study.yaml", np.random.default_rng(seed)
     file.write_text(yaml.safe_dump(dict(STUDY)), encoding="utf-8")
     begin = time.monotonic()
-    _run(file, folder / "undisturbed", _never)
+    _run(file, folder / "undisturbed", lambda: False)
     seconds, wanted = time.monotonic() - begin, _results(folder / "undisturbed")
     files = len(_files(folder / "undisturbed"))
     done, lost, different, compared = 0, 0, 0, 0
     while done < kills:
-        root, kept = folder / f"killed{compared}", Files()
-        while True:
+        root, kept, code = folder / f"killed{compared}", dict[Path, bytes](), -signal.SIGKILL
+        while code == -signal.SIGKILL:
             if done == kills:
-                stop = _never
+                stop: Callable[[], bool] = lambda: False  # noqa: E731 - to its end
             elif done % 2:
                 stop = _after_files(root, int(draw.integers(1, 2 * files)))
             else:
-                stop = _after_seconds(float(draw.uniform(0.0, seconds)))
-            ended = _run(file, root, stop)
-            lost += sum(root.joinpath(name).read_bytes() != data for name, data in kept.items() if _there(root, name))
-            lost += sum(not _there(root, name) for name in kept)
-            kept = _finished(root)
-            if ended != "killed":
-                break
-            done += 1
-        different += ended == "failed" or _results(root) != wanted
+                end = time.monotonic() + float(draw.uniform(0.0, seconds))
+                stop = lambda end=end: time.monotonic() > end  # noqa: E731
+            code = _run(file, root, stop)
+            now = {path: path.read_bytes() for run in root.glob("*/seed*/run.json") for path in run.parent.iterdir()}
+            lost += sum(now.get(path) != data for path, data in kept.items())
+            kept = now
+            done += code == -signal.SIGKILL
+        different += code != 0 or _results(root) != wanted
         compared += 1
     return Killed(done, lost, compared, different)
 
 
-def _run(file: Path, root: Path, stop: Callable[[], bool]) -> Ended:
-    """Run the study until it ends, or until ``stop`` is true or it took far too long; return what became of it."""
+def _run(file: Path, root: Path, stop: Callable[[], bool]) -> int:
+    """Run the study until it ends, or until ``stop`` is true or it took far too long; return its exit code."""
     log = root.with_suffix(".log")
-    with (
-        log.open("w", encoding="utf-8") as errors,
-        subprocess.Popen(
-            [*_COMMAND, str(file), "--out", str(root)],
-            stdout=subprocess.DEVNULL, stderr=errors, start_new_session=True,
-        ) as process,
-    ):  # fmt: skip
+    with log.open("w", encoding="utf-8") as errors:
+        command = [*_COMMAND, str(file), "--out", str(root)]
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=errors, start_new_session=True)
         begin = time.monotonic()
         while process.poll() is None and not stop():
             if time.monotonic() - begin > _PATIENCE:
+                process.terminate()
                 break
             time.sleep(_POLL)
-        if process.poll() is None:
-            os.killpg(process.pid, signal.SIGKILL)  # its workers too
-            process.wait()
-            return "killed" if stop() else "failed"
-        if process.returncode != 0:
-            _LOG.warning("%s failed: %s", root, log.read_text(encoding="utf-8")[-2000:])
-            return "failed"
-        return "finished"
-
-
-def _never() -> bool:
-    return False
-
-
-def _after_seconds(seconds: float) -> Callable[[], bool]:
-    end = time.monotonic() + seconds
-    return lambda: time.monotonic() > end
+        else:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)  # its workers too
+        code = process.wait()
+    if code not in (0, -signal.SIGKILL):
+        _LOG.warning("%s failed: %s", root, log.read_text(encoding="utf-8")[-2000:])
+    return code
 
 
 def _after_files(root: Path, count: int) -> Callable[[], bool]:
     """Wait until that many files were seen to appear, also those that vanish again."""
-    seen, before = 0, set(_files(root))
+    before, seen = _files(root), set[Path]()
 
     def stop() -> bool:
-        nonlocal seen, before
-        now = set(_files(root))
-        seen, before = seen + len(now - before), now
-        return seen >= count
+        seen.update(_files(root) - before)
+        return len(seen) >= count
 
     return stop
 
 
-def _files(root: Path) -> list[Path]:
-    found = []
-    for path, _, names in os.walk(root):
-        found += [Path(path, name) for name in names]
-    return found
-
-
-def _finished(root: Path) -> Files:
-    """Return the files of the finished runs: paths in the folder, and bytes."""
-    done = [path.parent for path in root.glob("*/seed*/run.json")]
-    return {path.relative_to(root): path.read_bytes() for run in done for path in run.iterdir()}
-
-
-def _there(root: Path, name: Path) -> bool:
-    return (root / name).is_file()
+def _files(root: Path) -> set[Path]:
+    return {Path(path, name) for path, _, names in os.walk(root) for name in names}
 
 
 def _results(root: Path) -> dict[str, list[str]]:

@@ -114,28 +114,13 @@ def test_the_mask_is_the_true_sheet(renderer, size):
             # of each true point the mask has a pixel within one, the held corners too: no gripper hides them
             at = np.rint(env.truth(13, 25, frame="pixels")).astype(int)
             assert grown(mask)[at[:, 1], at[:, 0]].all(), name
+        if name == "folded":
+            assert len(np.unique(rgb[mask], axis=0)) > 20, "without shading a fold is not to be seen"
         table = ~grown(mask | gripper, 2)
         v, u = np.nonzero(table)
         points = env.camera_model.to_base(env.camera_model.intrinsics.deproject(np.stack([u, v], 1), depth[v, u]))
         assert np.abs(points[:, 2]).max() < 5e-4, name
     env.close()
-
-
-@needs_gl
-@pytest.mark.parametrize("size", SIZES)
-def test_gl_and_rays_agree(size):
-    envs = [make(camera=SIZES[size], renderer=renderer) for renderer in ("gl", "rays")]
-    for (name, rgb, depth), (_, rgb_rays, depth_rays) in zip(*map(views, envs), strict=True):
-        masks = cloth(envs[0], rgb), cloth(envs[0], rgb_rays)
-        assert not (masks[0] & ~grown(masks[1])).any(), name
-        assert not (masks[1] & ~grown(masks[0])).any(), name
-        jump = cv2.morphologyEx(depth_rays, cv2.MORPH_GRADIENT, np.ones((3, 3))) > 0.01
-        edges = grown((masks[0] ^ grown(masks[0])) | jump)
-        apart = np.abs(depth - depth_rays)[~edges]
-        assert np.percentile(apart, 99.9) < 5e-4, name
-        assert np.abs(rgb.astype(int) - rgb_rays)[~edges].max() <= 24, name
-    for env in envs:
-        env.close()
 
 
 @needs_gl
@@ -151,21 +136,6 @@ def test_a_print_is_drawn_alike():
         assert len(np.unique(rgb[inside], axis=0)) > 50
     for env in envs:
         env.close()
-
-
-@pytest.mark.parametrize("renderer", RENDERERS)
-def test_the_sheet_keeps_one_hue_on_both_sides_far_from_all_else(renderer):
-    env = make(camera="d455", renderer=renderer)
-    rule = env.shape_obs_defaults["segmentation"]
-    for name, rgb, _ in views(env):
-        hsv = cv2.cvtColor(rgb, cv2.COLOR_RGB2HSV).astype(int)
-        blue = rgb[..., 2].astype(int) - rgb[..., 0] > 50
-        assert (hsv[blue] >= np.add(rule["low"], [8, 40, 20])).all(), name
-        assert (hsv[blue] <= np.subtract(rule["high"], [8, 0, 0])).all(), name
-        assert hsv[~blue][:, 1].max() < rule["low"][1] - 60, name
-        if name == "folded":
-            assert len(np.unique(rgb[blue], axis=0)) > 20, "without shading a fold is not to be seen"
-    env.close()
 
 
 def test_triangles_are_drawn_by_pixel_centres_and_the_nearest_wins():

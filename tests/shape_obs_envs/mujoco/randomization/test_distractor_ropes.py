@@ -12,7 +12,6 @@ pytest.importorskip("mujoco")
 
 from randomized import make, play, reset, same  # pyright: ignore[reportMissingImports]
 
-from shape_obs_envs.mujoco.randomization.distractors import heights_over
 from shape_obs_envs.mujoco.scene import cast_rays
 
 ROPES = {"others": False, "distractors": {"most": 0, "ropes": 3}}
@@ -23,15 +22,6 @@ def geoms(env: Any, most: int = 3) -> np.ndarray:
     model = env._body.model
     ids = np.concatenate([int(model.body(f"distractor_rope{i}_").geomadr[0]) + np.arange(24) for i in range(most)])
     return ids[model.geom_rgba[ids, 3] > 0]
-
-
-def test_a_rope_lies_over_what_is_below_it_and_comes_down():
-    line = np.column_stack([np.linspace(-0.2, 0.2, 41), np.zeros(41)])
-    below = np.column_stack([np.zeros(9), np.linspace(-0.04, 0.04, 9), np.full(9, 0.008)])
-    heights = heights_over(line, 0.006, [(below, 0.008)])
-    assert heights[20] == pytest.approx(0.022)
-    assert np.abs(np.diff(heights)).max() < 0.51 * 0.01
-    assert heights[[0, 1, -1]] == pytest.approx(0.006)
 
 
 def test_they_have_the_colour_of_the_object_and_lie_over_it():
@@ -82,8 +72,3 @@ def test_they_are_ignored_where_the_object_is_no_single_rope_on_the_table(name):
     reset(env, 0)
     assert "ropes" not in env.randomization["distractors"]
     assert len(geoms(env)) == 0
-
-
-def test_too_many_are_refused():
-    with pytest.raises(ValueError, match=r"distractors.ropes: expected a number from 0 to 4, got 5"):
-        make("Cable", {"distractors": {"ropes": 5}})

@@ -38,15 +38,6 @@ def test_a_slow_reader_gets_every_frame() -> None:
         assert stream.dropped == 0
 
 
-def test_60_held_frames_do_not_starve_the_stream() -> None:
-    device, held = camera(), []
-    with source(device) as stream:
-        for number in range(1, 101):
-            device.push_raw(*picture())
-            held.append(stream.read(5))
-            assert held[-1].number == number
-
-
 @pytest.mark.parametrize("stamp", [None, 12.5])
 def test_a_fresh_frame_shows_what_was_done_before_the_call(stamp: float | None) -> None:
     device = camera()
@@ -58,19 +49,6 @@ def test_a_fresh_frame_shows_what_was_done_before_the_call(stamp: float | None) 
         later.start()
         assert stream.read(5, fresh=True).number == 4
         later.join()
-
-
-def test_stamps_are_the_cameras_and_received_is_ours() -> None:
-    device = camera()
-    with source(device) as stream:
-        device.push_raw(*picture(), 3.25)
-        before = time.monotonic()
-        frame = stream.read(5)
-        assert frame.stamp == pytest.approx(3.25)
-        assert frame.received is not None
-        assert before - 1 < frame.received <= time.monotonic()
-        device.push_raw(*picture())
-        assert stream.read(5).stamp == pytest.approx(time.time(), abs=2)
 
 
 def test_options_are_set() -> None:
@@ -147,14 +125,6 @@ def test_filters_run(caplog: pytest.LogCaptureFixture) -> None:
     assert np.median(frame.depth[:, 20:70]) == pytest.approx(700, abs=2)
     with pytest.raises(ValueError, match=r"alpha must be 0 to 1, got 2"):
         source(device, filters=(("temporal", {"alpha": 2}),)).connect()
-
-
-def test_a_software_camera_checks_its_images() -> None:
-    device, (rgb, depth) = camera(), picture()
-    with pytest.raises(ValueError, match=r"colour: expected an array \(120, 160, 3\) uint8.* got \(120, 100, 3\)"):
-        device.push_raw(rgb[:, :100], depth)
-    with pytest.raises(ValueError, match="depth: expected an array"):
-        device.push_raw(rgb, depth.astype(float))
 
 
 def test_librealsense_is_loaded_when_a_camera_is_opened_and_missed_by_name() -> None:
