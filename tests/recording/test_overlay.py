@@ -129,11 +129,6 @@ def test_an_encoder_that_dies_is_an_error_and_keeps_the_old_file(tmp_path):
     assert (tmp_path / "v.mp4").read_text() == "old"
 
 
-def test_other_suffixes_are_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"expected a video named \*\.mp4, \*\.avi, \*\.gif"):
-        OverlayVideo(tmp_path / "o.mkv")
-
-
 def test_a_picture_says_that_the_stamp_fails_and_that_the_numbering_begins_anew(wave):
     detector, blank = ShapeDetector(max_age=0.1), np.full((*wave.mask.shape, 3), 255, np.uint8)
     seen = {}

@@ -11,7 +11,6 @@ from rope_env import RopeEnv
 
 from shape_obs import ShapeDetector
 from shape_obs.recording import Recording, ShapeLog, ShapeTable, Transition, record, replay
-from shape_obs.source import BadRecording
 from shape_obs_envs.sources import EnvSource, FolderSource
 
 BLUE = {"kind": "hsv", "low": [100, 120, 60], "high": [125, 255, 255]}
@@ -106,16 +105,6 @@ def test_tables_with_steps_come_back(recorded, tmp_path, suffix):
         assert np.array_equal(back[name], table[name], equal_nan=back[name].dtype.kind == "f"), name
 
 
-def test_parquet_has_null_where_no_step_followed(recorded, tmp_path):
-    parquet = pytest.importorskip("pyarrow.parquet")
-    table_of(recorded[0]).save(tmp_path / "t.parquet")
-    content = parquet.read_table(tmp_path / "t.parquet")
-    for name in ("action", "reward", "terminated", "truncated"):
-        nulls = [i for i, value in enumerate(content[name].to_pylist()) if value is None]
-        assert nulls == [3, 7, 8], name
-    assert content["state"].null_count == content["step"].null_count == 0
-
-
 def test_a_recording_of_a_recording_keeps_all(recorded, tmp_path):
     with FolderSource(recorded[0]) as source:
         record(source, tmp_path / "again")
@@ -144,20 +133,6 @@ def test_recordings_of_earlier_versions_have_no_steps(recorded, tmp_path):
     assert np.array_equal(table["centerline/points2d"], table_of(recorded[0])["centerline/points2d"])
     with pytest.raises(KeyError, match="Only recordings of a robot or an environment have it"):
         table["action"]
-
-
-@pytest.mark.parametrize(
-    ("damage", "message"),
-    [({"step": -1}, "step: expected 0 or more"), ({"step": 1, "action": "left"}, "expected a list")],
-)
-def test_a_damaged_step_is_an_error_with_its_line(recorded, tmp_path, damage, message):
-    with FolderSource(recorded[0]) as source:
-        record(source, tmp_path / "bad")
-    lines = (tmp_path / "bad" / "frames.jsonl").read_text().splitlines()
-    lines[2] = json.dumps({**json.loads(lines[2]), "transition": damage})
-    (tmp_path / "bad" / "frames.jsonl").write_text("\n".join(lines) + "\n")
-    with pytest.raises(BadRecording, match=f"line 3: damaged: .*{message}"):
-        Recording(tmp_path / "bad")
 
 
 @pytest.mark.parametrize(

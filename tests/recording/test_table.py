@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 from noise_frames import equal
@@ -84,15 +82,6 @@ def test_a_table_of_an_earlier_version_loads_and_says_what_it_lacks(log, tmp_pat
         table["rope/sigma"]
     with pytest.raises(KeyError, match="no column 'rope/point3d'; did you mean 'rope/points3d'"):
         table["rope/point3d"]
-
-
-def test_parquet_can_be_read_without_us(log, tmp_path):
-    parquet = pytest.importorskip("pyarrow.parquet")
-    log[0].table().save(tmp_path / "t.parquet")
-    content = parquet.read_table(tmp_path / "t.parquet")
-    points = np.stack(content["rope/points2d"].to_pylist()).reshape(-1, 12, 2).astype(np.float32)
-    assert equal(points, log[0].table()["rope/points2d"])
-    assert json.loads(content.schema.metadata[b"shape_obs"])["schema_hash"] == schema_hash(CONFIG)
 
 
 def test_what_is_no_table_is_refused(log, tmp_path):

@@ -218,7 +218,6 @@ class TestTrust:
         observation = env.observation_space.sample()
         np.testing.assert_array_equal(bundle.act(observation), model.predict(observation, deterministic=True)[0])
 
-
         class Local(OwnExtractor):
             pass
 

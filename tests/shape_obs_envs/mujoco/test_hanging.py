@@ -15,7 +15,6 @@ pytest.importorskip("mujoco")
 
 import shape_obs_envs  # noqa: F401
 from shape_obs_envs.mujoco.bodies import MaterialFactors
-from shape_obs_envs.mujoco.bodies.strand import catenary_pitch
 from shape_obs_envs.mujoco.hanging import HangingEnv
 from shape_obs_envs.mujoco.workspace import HangingWorkspace
 
@@ -121,15 +120,6 @@ def test_it_is_stable_and_keeps_its_length_at_full_strength(grippers, factors):
         assert env.observation_space.contains(env._observe())
         assert np.isfinite(env.get_state()).all()
         assert not any(warning.number for warning in env._body.data.warning)
-
-
-@pytest.mark.parametrize(("across", "up", "size"), [(0.1, 0.0, 0.5), (0.3, 0.19, 0.5), (0.4, -0.1, 0.45)])
-def test_a_catenary_leads_from_one_end_to_the_other(across, up, size):
-    steps = 5000
-    pitch = catenary_pitch(across, up, size, (np.arange(steps) + 0.5) * size / steps)
-    ends = np.array([np.cos(pitch).sum(), np.sin(pitch).sum()]) * size / steps
-    np.testing.assert_allclose(ends, [across, up], atol=1e-6)
-    assert (np.diff(pitch) > 0).all()
 
 
 @pytest.mark.parametrize("damping", [0.5, 1.0])

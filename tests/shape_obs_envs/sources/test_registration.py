@@ -83,22 +83,6 @@ def test_depth_is_that_of_the_colour_camera_in_millimetres() -> None:
     assert set(np.unique(aligned)) == {0, 605}
 
 
-def test_colour_without_distortion_is_left_alone_but_new() -> None:
-    registration = Registration(SMALL, SMALL, np.eye(3), ASIDE)
-    raw = np.random.default_rng(0).integers(0, 255, (120, 160, 3)).astype(np.uint8)
-    rgb, _ = registration(raw, np.zeros((120, 160), np.uint16))
-    assert (rgb == raw).all()
-    assert not np.shares_memory(rgb, raw)
-    assert registration.output == SMALL
-
-
-def test_what_the_lens_does_not_show_is_black() -> None:
-    pincushion = replace(SMALL, model="brown_conrady", coeffs=(0.2, 0.0, 0.0, 0.0, 0.0))
-    rgb = Registration(pincushion, SMALL, np.eye(3), ASIDE).rectify(np.full((120, 160, 3), 200, np.uint8))
-    assert (rgb[0, 0] == 0).all()
-    assert (rgb[60, 80] == 200).all()
-
-
 def test_raw_images_come_back_as_what_they_were_made_of() -> None:
     camera = Intrinsics(640, 480, 386.0, 386.0, 319.5, 239.5)
     place = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0.62], [0, 0, 0, 1]])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import subprocess
 import sys
@@ -18,7 +17,6 @@ pytest.importorskip("mujoco")
 from simulator_gl import RENDERERS, needs_gl
 
 import shape_obs_envs  # noqa: F401
-from shape_obs_envs.mujoco import cameras
 from shape_obs_envs.mujoco.cable import CableEnv
 
 SIZES = {"square": [84, 84], "d455": "d455"}
@@ -187,19 +185,6 @@ assert env._rendering.camera_name == "rays"
 assert os.environ["MUJOCO_GL"] == "disable"
 """
     assert "MUJOCO_GL=disable turns OpenGL off" in run(code, tmp_path, MUJOCO_GL="disable")
-
-
-@needs_gl
-def test_auto_says_once_that_it_uses_gl(caplog, monkeypatch):
-    monkeypatch.setattr(cameras, "_logged", set())
-    with caplog.at_level(logging.INFO, "shape_obs_envs"):
-        for _ in range(2):
-            env = make(renderer="auto")
-            env.reset(seed=0)
-            env.close()
-    assert [record.message for record in caplog.records if record.name == "shape_obs_envs"] == [
-        "Rendering with OpenGL."
-    ]
 
 
 @pytest.mark.nightly

@@ -14,9 +14,6 @@ from randomized import ENVS, SINGLE, make, play  # pyright: ignore[reportMissing
 from simulator_gl import needs_gl
 
 from shape_obs import ShapeObservation
-from shape_obs_envs.mujoco.cameras.rasterizer import Texture
-from shape_obs_envs.mujoco.cameras.ray_camera import outward_normals
-from shape_obs_envs.mujoco.scene import cast_rays, mujoco
 
 OFTEN = {"hand": {"probability": 1.0, "latest": 0, "speed": [0.2, 0.2]}, "distractors": {"most": 8}}
 
@@ -81,45 +78,6 @@ def test_a_print_lies_where_opengl_lays_it():
         ratio = found[:, 0] / found[:, 1]
         assert np.median(np.abs(ratio - expected[:, 0] / expected[:, 1])) < 0.03
     assert np.abs(one.astype(int) - two)[table].max() <= 3
-
-
-def test_a_texture_is_repeated_and_shrunk():
-    picture = np.zeros((4, 8, 3), np.uint8)
-    picture[:, 4:] = 200
-    texture = Texture(picture)
-    assert texture.shape == (4, 8)
-    places = np.array([[0.25, 0.5], [0.75, 0.5], [1.75, -3.5], [-0.75, 7.5], [0.5, 0.1]])
-    colours = texture.sample(places, 1.0)[:, 0] * 255
-    assert np.allclose(colours, [0, 200, 200, 0, 100], atol=1)
-    assert np.allclose(texture.sample(places, 1000.0) * 255, 100, atol=2)  # from far away it is grey
-    assert texture.sample(np.zeros((2, 3, 2)), np.ones((2, 3))).shape == (2, 3, 3)
-
-
-@pytest.mark.parametrize("kind", ["box", "cylinder", "capsule", "sphere", "ellipsoid"])
-def test_surfaces_face_outwards(kind):
-    """Where a ray meets a surface, neighbouring rays meet its tangent plane."""
-    model = mujoco.MjModel.from_xml_string(
-        f'<mujoco><worldbody><geom type="{kind}" size=".2 .15 .1" euler="30 50 10"/></worldbody></mujoco>'
-    )
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    eye = np.array([0.3, -0.4, 1.5])
-    target = np.random.default_rng(0).uniform(-0.15, 0.15, (400, 3))
-    hits = []
-    for shift in ((0, 0, 0), (1e-5, 0, 0), (0, 1e-5, 0)):
-        rays = target + shift - eye
-        rays /= np.linalg.norm(rays, axis=1)[:, None]
-        distance, geom = cast_rays(model, data, eye, rays)
-        hits.append((eye + rays * distance[:, None], geom))
-    met = (hits[0][1] == 0) & (hits[1][1] == 0) & (hits[2][1] == 0)
-    assert met.sum() > 100
-    facing = outward_normals(model, data, np.zeros(met.sum(), np.int32), hits[0][0][met])
-    assert np.allclose(np.linalg.norm(facing, axis=1), 1)
-    assert (np.einsum("ij,ij->i", facing, eye - hits[0][0][met]) > 0).all()
-    for points, _ in hits[1:]:
-        along = points[met] - hits[0][0][met]
-        slope = np.abs(np.einsum("ij,ij->i", along, facing)) / np.linalg.norm(along, axis=1)
-        assert np.quantile(slope, 0.97) < 0.01  # all but those across an edge
 
 
 @pytest.mark.parametrize("name", ENVS)

@@ -138,20 +138,6 @@ def test_episodes_look_different(env):
 # ---- physics
 
 
-def test_a_rope_keeps_its_length_however_thick():
-    env = make("Cable", {"others": False, "material": {"thickness": 0.4}}, render_observation=False)
-    radii = []
-    for seed in range(4):
-        play(env, seed)
-        chain = cast(Any, env)._chain
-        radii.append(chain.spec.radius)
-        assert env.shape_obs_defaults["shapes"][0]["radius"] == 0.008  # type: ignore[attr-defined]
-        length = np.linalg.norm(np.diff(chain.vertices(), axis=0), axis=1).sum()
-        assert length == pytest.approx(0.5, abs=1e-9)
-        assert np.allclose(chain.vertices()[:, 2], chain.spec.radius)
-    assert max(radii) > 1.1 * min(radii)
-
-
 def test_a_state_is_taken_over_with_another_thickness():
     env = make("Cable", {"others": False, "material": True}, render_observation=False)
     reset(env, 0)
@@ -216,3 +202,65 @@ def test_how_often_a_hand_comes():
     none = make("Cable", {"others": False, "hand": {"probability": 0.0}}, render_observation=False)
     reset(none, 0)
     assert none.randomization["hand"] == {"comes": False}
+
+
+# ---- distractor ropes: of the object's colour, over the object, and without any effect on it
+
+ROPES = {"others": False, "distractors": {"most": 0, "ropes": 3}}
+
+
+def geoms(env: Any, most: int = 3) -> np.ndarray:
+    """Return the geoms of the distractor ropes that are shown."""
+    model = env._body.model
+    ids = np.concatenate([int(model.body(f"distractor_rope{i}_").geomadr[0]) + np.arange(24) for i in range(most)])
+    return ids[model.geom_rgba[ids, 3] > 0]
+
+
+def test_they_have_the_colour_of_the_object_and_lie_over_it():
+    env: Any = make("Cable", ROPES | {"object": True}, render_observation=False)
+    numbers, over = [], 0
+    for seed in range(12):
+        reset(env, seed)
+        model, data = env._body.model, env._body.data
+        drawn = env.randomization["distractors"]["ropes"]
+        numbers.append(len(drawn))
+        assert len(geoms(env)) == 24 * len(drawn)
+        assert np.allclose(model.geom_rgba[geoms(env), :3], model.geom("link0").rgba[:3])
+        json.dumps(drawn)
+        eye = data.cam_xpos[0].copy()
+        for step in range(3):
+            truth = env.truth(100)
+            rays = truth - eye
+            away = np.linalg.norm(rays, axis=1)
+            distance, hit = cast_rays(model, data, eye, rays / away[:, None])
+            covered = np.isin(hit, geoms(env))
+            over += int(covered.any())
+            assert (away - distance)[covered].min(initial=1.0) > env._chain.spec.radius, "it is above, not within"
+            if step == 0:
+                assert covered.mean() <= 0.5
+                assert not covered[[0, 1, -2, -1]].any()
+            for _ in range(5):
+                env.step(np.array([0.5, 1.0, 0.5, -0.5, -1.0, 0.5], np.float32))
+    assert set(numbers) == {0, 1, 2, 3}
+    assert over > 5
+
+
+def test_they_change_neither_physics_nor_other_factors():
+    plain, roped = make("Cable", {"others": False, "distractors": {"most": 0}}), make("Cable", ROPES)
+    assert same(play(plain, 3), play(roped, 3), "achieved_goal", "gripper")
+    few, many = make("Cable", True), make("Cable", {"distractors": {"ropes": 2}})
+    reset(few, 4)
+    reset(many, 4)
+    drawn = many.randomization
+    ropes = drawn["distractors"].pop("ropes")
+    assert drawn == few.randomization
+    assert len(ropes) <= 2
+    assert same(play(many, 4), play(many, 4))
+
+
+@pytest.mark.parametrize("name", ["Ring", "Cloth", "Hanging", "Cables"])
+def test_they_are_ignored_where_the_object_is_no_single_rope_on_the_table(name):
+    env = make(name, ROPES, render_observation=False)
+    reset(env, 0)
+    assert "ropes" not in env.randomization["distractors"]
+    assert len(geoms(env)) == 0

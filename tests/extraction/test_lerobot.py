@@ -6,6 +6,7 @@ import json
 import shutil
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,18 +16,39 @@ pytest.importorskip("pyarrow")
 pytest.importorskip("mujoco")
 
 import pyarrow
-from lerobot_files import array, read, rows, run
+from noise_frames import camera_of
 from pyarrow import parquet
 
-from shape_obs import ShapeDetector, save_config
+from shape_obs import CameraModel, Frame, Intrinsics, ShapeDetector, save_config
 from shape_obs.cli import main
 from shape_obs.config.config_file import detector_arguments, load_config
-from shape_obs.recording import Moment, Recording, RecordingWriter, record, replay
+from shape_obs.recording import Moment, Recording, RecordingWriter, RobotInfo, Transition, record, replay
+from shape_obs.robot import ActionSpec
 from shape_obs_envs.sources import open_source
 
 N, LENGTH = 8, 5
 ROPE = {"kind": "centerline", "name": "rope", "n": N, "anchor": "gripper0", "ends": "tips", "spacing": "m"}
 BLUE = {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}
+
+
+def run(capsys: Any, *arguments: Any) -> tuple[Any, Any, str]:
+    """Return (exit code, parsed output of --json or None, stderr) of `shape-obs extract`, run in this process."""
+    with pytest.raises(SystemExit) as stop:
+        main(["extract", *map(str, arguments), "--json"])
+    captured = capsys.readouterr()
+    return stop.value.code, json.loads(captured.out) if captured.out else None, captured.err
+
+
+def read(made, name):
+    return json.loads((made / "meta" / f"{name}.json").read_text())
+
+
+def rows(made):
+    return parquet.read_table(made / "data" / "chunk-000" / "file-000.parquet")
+
+
+def array(table, name):
+    return np.asarray(table[name].to_pylist())
 
 
 @pytest.fixture(scope="module")
@@ -242,3 +264,46 @@ def test_recordings_of_unlike_robots_are_refused(place, tmp_path, capsys):
     assert code == 1
     assert "its action, observation.state differ from those of the episodes before" in err
     assert not (tmp_path / "out" / "meta").exists()
+
+
+# ---- where nothing was sent, and where frames were dropped
+
+
+def write_run(folder, spec, transitions):
+    """Record frames of a drawn rope with the given steps; the state of the robot is (0.1, 0.2)."""
+    intrinsics = Intrinsics(96, 72, 90.0, 90.0, 47.5, 35.5)
+    rgb, depth = np.full((72, 96, 3), 200, np.uint8), np.full((72, 96), 700, np.uint16)
+    cv2.line(rgb, (15, 30), (80, 40), (20, 60, 200), 5)
+    frames = [Frame(rgb, depth, CameraModel(intrinsics), i / 10, number=i) for i in range(len(transitions))]
+    with RecordingWriter(folder, camera_of(frames), robot=RobotInfo("arm", spec.names, spec.names, spec)) as writer:
+        for frame, transition in zip(frames, transitions, strict=True):
+            writer.add(Moment(frame, {}, 0, transition, (0.1, 0.2)))
+
+
+@pytest.mark.parametrize(("mode", "still"), [("displacement", [0.0, 0.0]), ("position", [0.5, 1.0])])
+def test_where_nothing_was_sent_the_action_keeps_the_robot_still(tmp_path, capsys, mode, still):
+    spec = ActionSpec(("x", "y"), ("m", "m"), (0.2, 0.2), (-1.0, -1.0), (1.0, 1.0), mode=mode)
+    steps = [Transition(1, (0.5, -0.5), 0.0), Transition(2, None, 0.0), Transition(3, (1.0, 0.0), 1.0, True)]
+    write_run(tmp_path / "run", spec, [Transition(0), *steps])
+    save_config(tmp_path / "c.yaml", {"shapes": [{"kind": "centerline", "n": N}], "segmentation": BLUE})
+    code, _, err = run(
+        capsys, tmp_path / "run", "--config", tmp_path / "c.yaml", "--to", "lerobot", "-o", tmp_path / "out"
+    )
+    assert code == 0, err
+    table = rows(tmp_path / "out")
+    assert array(table, "action").tolist() == [[0.5, -0.5], still, [1.0, 0.0]]
+    assert array(table, "next.done").tolist() == [False, False, True]
+    assert read(tmp_path / "out", "info")["fps"] == 10
+    assert np.allclose(array(table, "observation.state")[:, -2:], (0.1, 0.2))
+
+
+def test_frames_before_a_dropped_one_are_left_out_and_reported(tmp_path, capsys):
+    spec = ActionSpec(("x", "y"), ("m", "m"), (0.2, 0.2), (-1.0, -1.0), (1.0, 1.0))
+    write_run(tmp_path / "run", spec, [Transition(0), *(Transition(i, (i / 10, 0.0), 0.0) for i in (1, 3, 4))])
+    save_config(tmp_path / "c.yaml", {"shapes": [{"kind": "centerline", "n": N}], "segmentation": BLUE})
+    code, _, err = run(
+        capsys, tmp_path / "run", "--config", tmp_path / "c.yaml", "--to", "lerobot", "-o", tmp_path / "out"
+    )
+    assert code == 0
+    assert "1 frames are left out: the frame after them was dropped" in err
+    assert array(rows(tmp_path / "out"), "action")[:, 0].tolist() == [np.float32(0.1), np.float32(0.4)]
