@@ -119,7 +119,6 @@ def __getattr__(name):
     raise AttributeError(name)
 """
 FAMILIES = ("feature", "segmentation", "configuration", "roi", "clustering")
-KILLS = 10
 
 
 def write_canary(folder: Path) -> None:
@@ -134,19 +133,19 @@ def write_canary(folder: Path) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.timeout(1800)
-def test_a_bundle_is_data_and_a_kill_loses_none(tmp_path):
+def test_a_bundle_is_data(tmp_path):
     fit(ropes(50)).save(tmp_path / "ropes.npz")
     train(tmp_path / "sample.policy", features=[POINTS, {"kind": "pca", "file": str(tmp_path / "ropes.npz")}])
     sample = read_archive(tmp_path / "sample.policy").members
     write_canary(tmp_path / "path")
     (tmp_path / "files").mkdir()
     files = [*hostile_bundles.damaged(sample, 300, seed=0), *hostile_bundles.crafted(sample)]
-    trusted = list(hostile_bundles.attacks(sample))
+    trusted = [(name, content) for name, content in files if hostile_bundles.MODULE in name]
     for number, (_, content) in enumerate([*files, *trusted]):
         suffix = ".policy" if number < len(files) else ".trusted"
         (tmp_path / "files" / f"{number:05}{suffix}").write_bytes(content)
     done = subprocess.run(
-        [sys.executable, "-m", "fuzzing.bundle_trials", str(tmp_path), str(KILLS)],
+        [sys.executable, "-m", "fuzzing.bundle_trials", str(tmp_path)],
         env={
             **os.environ,
             "PYTHONPATH": os.pathsep.join([str(tmp_path / "path"), str(SUPPORT), *sys.path]),
@@ -158,13 +157,10 @@ def test_a_bundle_is_data_and_a_kill_loses_none(tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stderr[-2000:]
-    *seen, killed = (json.loads(line) for line in done.stdout.splitlines() if line.startswith("{"))
+    seen = (json.loads(line) for line in done.stdout.splitlines() if line.startswith("{"))
     found = [{**one, "name": name} for one, (name, _) in zip(seen, [*files, *trusted], strict=True)]
     refused = found[: len(files)]
     for what, most in (("undeclared", 0), ("code", 0), ("left", 0), ("seconds", 2.0), ("mb", 300.0)):
         value = [one for one in refused if (len(one[what]) if what == "undeclared" else one[what]) > most]
         assert value == [], what
-    assert sum(one["code"] for one in found[len(files) :]) >= 2, "with trust the attacks work, so the canary sees them"
-    assert killed["lost"] == 0
-    assert killed["writing"] >= 1
-    assert killed["left"] <= KILLS
+    assert sum(one["code"] for one in found[len(files) :]) >= 5, "with trust they work, so the canary sees them"

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
 import warnings
 from typing import Any
 
@@ -104,6 +107,22 @@ def test_wrappers_that_have_moved_since_are_found_and_a_backend_is_no_error(tmp_
     assert again.action_space.contains(bundle.act(again.reset(seed=0)[0]))
 
 
+KILLED = """
+import os, signal, sys, zipfile
+from shape_obs.deploy.policy_bundle.archive import read_archive, write_archive
+
+whole, members = zipfile.ZipFile.writestr, read_archive(sys.argv[1]).members
+
+def dying(archive, info, data, method):
+    if info.filename == "policy.json":
+        os.kill(os.getpid(), signal.SIGKILL)
+    whole(archive, info, data, method)
+
+zipfile.ZipFile.writestr = dying
+write_archive(sys.argv[1], members)
+"""
+
+
 class TestFile:
     @pytest.fixture
     def members(self, trained) -> dict[str, bytes]:
@@ -192,6 +211,14 @@ class TestFile:
         assert path.read_bytes() == good.read_bytes()
         with pytest.raises(OSError, match="cannot write"):
             save_bundle(model, cable(), tmp_path / "none" / "a.policy")
+
+    def test_a_kill_while_it_is_written_loses_nothing(self, trained, tmp_path):
+        path = tmp_path / "a.policy"
+        path.write_bytes(trained[2].read_bytes())
+        killed = subprocess.run([sys.executable, "-c", KILLED, str(path)], check=False)
+        assert killed.returncode == -signal.SIGKILL
+        assert len(list(tmp_path.iterdir())) == 2, "it came while a temporary file was half written"
+        assert path.read_bytes() == trained[2].read_bytes()
 
     def test_equal_policies_give_equal_files(self, trained, tmp_path):
         members = read_archive(trained[2]).members

@@ -206,18 +206,6 @@ def test_each_cause_can_be_switched_off_and_be_alone(field, cause):
     assert np.allclose(nothing.metres, scene)
 
 
-@pytest.mark.nightly
-def test_frames_of_the_fast_form_do_not_repeat():
-    frames = measure(replace(CLEAR, subpixel=0.08, speckle_share=0.02), np.full(SMALL, 1.0), True, frames=60)
-    error = np.stack([frame.metres - 1 for frame in frames]).reshape(60, -1)
-    holes = np.stack([frame.causes for frame in frames]).reshape(60, -1).astype(float)
-    for field in (error, holes):
-        between = np.corrcoef(field) - np.eye(60)
-        assert np.abs(between).max() < 0.75  # one of two layers at the same place would make 0.5
-        assert (np.abs(between) > 0.1).mean() < 0.002
-        assert np.abs(np.diagonal(between, 1)).max() < 0.1
-
-
 # ---- colour
 
 

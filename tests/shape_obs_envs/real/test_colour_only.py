@@ -12,7 +12,6 @@ from gymnasium.utils.env_checker import check_env
 from mjpeg_camera import MjpegCamera
 
 from shape_obs import ShapeObservation
-from shape_obs.cli import main
 from shape_obs.source import BadRecording
 
 
@@ -123,13 +122,7 @@ def test_the_end_of_a_video_ends_the_episode(sources):
     env.close()
 
 
-def test_a_robot_is_deployed_with_a_webcam(capsys, tmp_path):
-    def run(*arguments):
-        with pytest.raises(SystemExit) as stop:
-            main([str(argument) for argument in arguments])
-        captured = capsys.readouterr()
-        return stop.value.code, captured.out, captured.err
-
+def test_a_robot_is_deployed_with_a_webcam(run, tmp_path):
     config = "version: 1\nshape: {{shapes: [{{kind: centerline, n: 10, ends: tips}}], features: [{}]}}\n"
     config += "scene: {{segmentation: {{kind: hsv, low: [100, 120, 40], high: [125, 255, 255]}}}}\n"
     for name in ("points2d_normalized", "points3d"):

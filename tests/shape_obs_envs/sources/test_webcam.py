@@ -15,7 +15,6 @@ from mjpeg_camera import MjpegCamera
 
 from shape_obs import Intrinsics
 from shape_obs.calibration import IntrinsicsFit
-from shape_obs.cli import main
 from shape_obs.source import CameraNotFound, NotConnected, RGBDSource, SourceError
 from shape_obs_envs.sources import WebcamSource, open_source
 
@@ -128,14 +127,7 @@ def test_cameras_that_are_not_there_say_what_to_do(word, options, error, message
     assert "\n" not in str(caught.value)
 
 
-def run(capsys, *arguments):
-    with pytest.raises(SystemExit) as stop:
-        main([str(argument) for argument in arguments])
-    captured = capsys.readouterr()
-    return stop.value.code, captured.out, captured.err
-
-
-def test_a_webcam_is_recorded_and_replayed(capsys, tmp_path):
+def test_a_webcam_is_recorded_and_replayed(run, tmp_path):
     def rope(number):
         rgb = np.full((*SIZE, 3), 200, np.uint8)
         cv2.line(rgb, (30, 40 + number % 20), (130, 60 + number % 20), (20, 60, 200), 5)
@@ -148,18 +140,18 @@ def test_a_webcam_is_recorded_and_replayed(capsys, tmp_path):
     )
     with MjpegCamera(rope, FPS) as camera:
         word = f"webcam:{camera.url}"
-        code, out, err = run(capsys, "record", "--source", word, "--frames", "6", "-o", tmp_path / "a", "--json")
+        code, out, err = run("record", "--source", word, "--frames", "6", "-o", tmp_path / "a", "--json")
         assert code == 0, err
         assert json.loads(out)["frames"] == 6
-        code, _, err = run(capsys, "record", "--source", word, "--depth", "yes", "-o", tmp_path / "b")
+        code, _, err = run("record", "--source", word, "--depth", "yes", "-o", tmp_path / "b")
         assert (code, "has no depth to record" in err) == (1, True)
-        code, _, err = run(capsys, "record", "--source", word, "-o", tmp_path / "b.db3")
+        code, _, err = run("record", "--source", word, "-o", tmp_path / "b.db3")
         assert (code, "only a RealSense camera can be recorded to .db3" in err) == (2, True)
-        code, _, err = run(capsys, "replay", word, "--config", config)
+        code, _, err = run("replay", word, "--config", config)
         assert (code, "never ends: give --frames N" in err) == (2, True)
-        code, out, err = run(capsys, "replay", word, "--config", config, "--frames", "5", "--json")
+        code, out, err = run("replay", word, "--config", config, "--frames", "5", "--json")
         assert code == 0, err
         assert json.loads(out)["shapes"]["centerline"]["ok"] == 5
-    code, out, err = run(capsys, "replay", tmp_path / "a", "--config", config, "--json")
+    code, out, err = run("replay", tmp_path / "a", "--config", config, "--json")
     assert code == 0, err
     assert json.loads(out)["shapes"]["centerline"]["ok"] == 6

@@ -1,8 +1,7 @@
-"""Read bundles in separate processes, and kill processes that save one.
+"""Read bundles, each in a separate process, and report what they did.
 
-``python -m fuzzing.bundle_trials FOLDER KILLS`` reads ``FOLDER/files/*``, ``*.trusted`` with ``trust=True``,
-and prints a line of JSON for each and one for the kills. It has loaded all libraries and forks for each file, so that
-time and memory are those of the file alone.
+``python -m fuzzing.bundle_trials FOLDER`` reads ``FOLDER/files/*``, ``*.trusted`` with ``trust=True``, and prints a
+line of JSON for each. It has loaded all libraries and forks for each file: time and memory are those of the file alone.
 """
 
 from __future__ import annotations
@@ -24,11 +23,10 @@ from typing import Any, Final
 
 import gymnasium as gym
 import numpy as np
-from bundles import cable
 from fake_cell import make_env
 
 from fuzzing.hostile_bundles import VARIABLE
-from shape_obs import load_bundle, save_bundle
+from shape_obs import load_bundle
 from shape_obs.deploy.policy_bundle import BundleError
 from shape_obs.deploy.policy_bundle.spaces import space_from_dict, zeros
 
@@ -50,8 +48,8 @@ class Foreign(gym.Env[Any, Any]):
         self.memory = np.ones(size, np.int64)
 
 
-def main(folder: Path, kills: int) -> None:
-    """Read all files of a folder, then kill processes that save one."""
+def main(folder: Path) -> None:
+    """Read all files of a folder."""
     import torch
 
     torch.set_num_threads(1)
@@ -63,8 +61,6 @@ def main(folder: Path, kills: int) -> None:
     gc.freeze()  # collecting in a fork would copy all of the parent's memory
     for path in sorted((folder / "files").iterdir()):
         print(json.dumps(in_fork(lambda path=path: attempt(path, folder))), flush=True)
-    with tempfile.TemporaryDirectory(dir=folder) as saved:
-        print(json.dumps(kill_savers(Path(saved), kills)), flush=True)
 
 
 def attempt(path: Path, folder: Path) -> dict[str, Any]:
@@ -128,60 +124,10 @@ def in_fork(work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     return {"undeclared": ["died or hung"], "code": False, "left": 0, "seconds": _LONGEST, "mb": 0.0}
 
 
-def kill_savers(folder: Path, kills: int) -> dict[str, int]:
-    """Save versions of a bundle, then kill processes that replace one by another.
-
-    Every second kill comes at any instant, the others while the file is written.
-
-    Returns:
-        ``lost``: kills after which the file was neither version or did not load. ``writing``: those that left a
-        temporary file. ``left``: temporary files in the end.
-    """
-    import stable_baselines3 as sb3
-
-    options = {"buffer_size": 10, "device": "cpu", "policy_kwargs": {"net_arch": [512, 512]}}  # wide: long to write
-    model = sb3.SAC("MultiInputPolicy", cable(), **options)
-    env, path, draw = model.get_env(), folder / "cable.policy", np.random.default_rng(0)
-
-    def save(version: int) -> None:
-        save_bundle(model, env, path, summary={"version": version})
-
-    def save_on() -> None:
-        while True:
-            for version in range(2):
-                save(version)
-
-    versions, start = list[bytes](), time.monotonic()
-    for version in range(2):
-        save(version)
-        versions.append(path.read_bytes())
-    lasting, seen = time.monotonic() - start, {"lost": 0, "writing": 0, "left": 0}
-    for number in range(kills):
-        before = len(os.listdir(folder))
-        child = _FORK.Process(target=save_on)
-        child.start()
-        if number % 2:
-            time.sleep(float(draw.uniform(0, lasting)))
-        else:
-            while len(os.listdir(folder)) <= before and child.is_alive():
-                time.sleep(0.0005)
-            time.sleep(float(draw.uniform(0, 0.004)))
-        child.kill()
-        child.join()
-        seen["writing"] += len(os.listdir(folder)) > before
-        try:
-            load_bundle(path)
-            seen["lost"] += path.read_bytes() not in versions
-        except (OSError, ValueError):
-            seen["lost"] += 1
-    seen["left"] = len(os.listdir(folder)) - 1
-    return seen
-
-
 def _memory() -> float:
     """Return the most memory that this process has had, in MB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]))
+    main(Path(sys.argv[1]))

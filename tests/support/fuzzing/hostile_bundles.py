@@ -142,7 +142,7 @@ _ENVIRONMENTS: Final = (
 
 def crafted(sample: Members) -> Named:
     """Yield crafted files: (name, content)."""
-    for group in (_values, _texts, _archives, _tensors, attacks):
+    for group in (_values, _texts, _archives, _tensors, _pickles):
         yield from group(sample)
 
 
@@ -301,8 +301,8 @@ def _tensors(sample: Members) -> Named:
             yield f"{member}: {what}", pack({**sample, member: data})
 
 
-def attacks(sample: Members) -> Named:
-    """Yield files with pickles, and arrays that claim gigabytes: (name, content)."""
+def _pickles(sample: Members) -> Named:
+    """Yield files with pickles, and arrays that claim gigabytes."""
     code = pickle.dumps(Touch())
     yield "pickle as weights", pack({**sample, WEIGHTS: code})
     yield "pickle as statistics", pack({**sample, STATISTICS: code})

@@ -192,18 +192,6 @@ def test_the_hand_comes_hides_a_part_and_goes(name):
     assert min(seen) >= 10
 
 
-def test_how_often_a_hand_comes():
-    env = make("Cable", {"others": False, "hand": {"probability": 0.3}}, render_observation=False)
-    came = []
-    for seed in range(40):
-        reset(env, seed)
-        came.append(env.randomization["hand"]["comes"])
-    assert 0.15 < np.mean(came) < 0.45
-    none = make("Cable", {"others": False, "hand": {"probability": 0.0}}, render_observation=False)
-    reset(none, 0)
-    assert none.randomization["hand"] == {"comes": False}
-
-
 # ---- distractor ropes: of the object's colour, over the object, and without any effect on it
 
 ROPES = {"others": False, "distractors": {"most": 0, "ropes": 3}}

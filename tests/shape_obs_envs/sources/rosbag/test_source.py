@@ -14,7 +14,6 @@ pytest.importorskip("rosbags")
 
 from ros_bags import COLOR, DEPTH, INFO, camera_info, image, rgbd_messages, write_bag
 
-from shape_obs.cli import main
 from shape_obs.recording.format import read_moments
 from shape_obs.source import BadRecording, EndOfSource, NotConnected, RGBDSource
 from shape_obs_envs.sources import RosbagSource, open_source
@@ -251,14 +250,7 @@ def test_bad_arguments_are_refused(tmp_path):
 # ---- the commands
 
 
-def run(capsys, *arguments):
-    with pytest.raises(SystemExit) as stop:
-        main([str(argument) for argument in arguments])
-    captured = capsys.readouterr()
-    return stop.value.code, captured.out, captured.err
-
-
-def test_replay_record_and_extract_find_the_shape_in_a_bag(capsys, tmp_path):
+def test_replay_and_record_find_the_shape_in_a_bag(run, tmp_path):
     frames = []
     for shift in range(6):
         rgb, depth = np.full((240, 320, 3), 200, np.uint8), np.full((240, 320), 700, np.uint16)
@@ -270,7 +262,7 @@ def test_replay_record_and_extract_find_the_shape_in_a_bag(capsys, tmp_path):
         "version: 1\nshape: {shapes: [{kind: centerline, n: 10, ends: tips}], features: [points3d]}\n"
         "scene: {segmentation: {kind: hsv, low: [100, 120, 40], high: [125, 255, 255]}}\n"
     )
-    code, out, err = run(capsys, "replay", file, "--config", config, "--npz", tmp_path / "rope.npz", "--json")
+    code, out, err = run("replay", file, "--config", config, "--npz", tmp_path / "rope.npz", "--json")
     assert code == 0, err
     assert json.loads(out)["shapes"]["centerline"]["ok"] == 6
     points = np.load(tmp_path / "rope.npz")["centerline/points3d"]
@@ -278,17 +270,12 @@ def test_replay_record_and_extract_find_the_shape_in_a_bag(capsys, tmp_path):
     assert np.allclose(ends[:, 0], (60 - 3.5 + np.arange(6) - 159.5) * 0.7 / 300, atol=0.003)
     assert np.allclose(points[..., 2], 0.7, atol=0.002)
 
-    code, _, err = run(capsys, "record", "--source", file.parent, "-o", tmp_path / "copy")
+    code, _, err = run("record", "--source", file.parent, "-o", tmp_path / "copy")
     assert code == 0, err
     with open_source(tmp_path / "copy") as source:
         copied = frames_of(source)
     assert len(copied) == len(frames)
     assert all(np.array_equal(frame.rgb, rgb) for frame, (rgb, _) in zip(copied, frames, strict=True))
-    code, out, err = run(
-        capsys, "extract", tmp_path / "bags", "--config", config, "-o", tmp_path / "set", "--jobs", "1", "--json"
-    )
-    assert code == 0, err
-    assert json.loads(out)["ok"] == {"centerline": 6}
-    code, _, err = run(capsys, "replay", file, "--config", config, "--set", "depth=false")
+    code, _, err = run("replay", file, "--config", config, "--set", "depth=false")
     assert code == 1
     assert "has no depth, but the config needs it: feature 'points3d'" in err
