@@ -247,21 +247,3 @@ def test_the_rope_with_the_goal_is_in_slot_0():
     off = np.linalg.norm(observation["achieved_goal"].reshape(-1, 3) - inner.truth(rope=1), axis=1)
     assert off.mean() < 0.01
     assert observation["desired_goal"].shape == (60,)
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("rope", [0, 1])
-def test_the_servo_moves_only_the_gripper_of_the_named_rope(rope):
-    from tests.benchmarks.servo import Setting, World, play
-
-    setting = Setting("Cables", "middle", "truth", "160x120", "points3d", "rls", rope=rope)
-    world = World(setting)
-    assert list(world.coordinates or ()) == [3 * rope, 3 * rope + 1, 3 * rope + 2]
-    taken = []
-    space: Any = world.env.action_space
-    world.env = gym.wrappers.TransformAction(world.env, lambda action: taken.append(action) or action, space)
-    episode = play(world, "rls", 1, 60)
-    assert episode.success
-    own, other = np.abs(taken).max(axis=0).reshape(2, 3)[[rope, 1 - rope]]
-    assert own.min() >= 0.6
-    assert other.max() == 0
