@@ -65,16 +65,15 @@ def episodes() -> dict[str, np.ndarray]:
     """Return the effect of 9 episodes on the sheet: held actions, white noise, full strength."""
     env = make(render_observation=False)
     rng, action = np.random.default_rng(0), IDLE
-    seen: dict[str, list[Any]] = {name: [] for name in ("stretch", "crossings", "lowest", "grippers")}
+    seen: dict[str, list[Any]] = {name: [] for name in ("stretch", "crossings", "lowest")}
     for seed in range(9):
         env.reset(seed=seed)
         for step in range(50):
             if step % 8 == 0 or seed % 3 == 0:
                 action = rng.uniform(-1, 1, 6)
                 action = np.sign(action) if seed % 3 == 1 else action
-            observation, *_ = env.step(action.astype(np.float32))
+            env.step(action.astype(np.float32))
             seen["stretch"].append(env._sheet.stretch())
-            seen["grippers"].append(observation["gripper"].reshape(2, 3))
             if step % 5 == 4:
                 seen["lowest"].append(env._sheet.vertices()[..., 2].min())
                 seen["crossings"].append(crossings(env._sheet.mesh.masses(env._body.data)))
@@ -88,17 +87,6 @@ def test_the_sheet_hardly_stretches_stays_above_the_table_and_its_layers_do_not_
     assert np.mean(episodes["crossings"] > 0) < 0.01
 
 
-def test_grippers_keep_within_their_workspace(episodes):
-    env = make(render_observation=False)
-    low, high = env._workspace.bounds
-    grippers = episodes["grippers"]
-    assert np.all((grippers > low - 1e-4) & (grippers < high + 1e-4))
-    span = np.linalg.norm(grippers[:, 1] - grippers[:, 0], axis=1)
-    assert span.max() < 0.3501
-    assert span.min() > 0.1899
-    assert np.abs(np.diff(grippers[:, :, 1], axis=1)).max() < 0.0801
-
-
 def test_actions_move_each_gripper_and_its_corner_at_once(env):
     env.reset(seed=0)
     start = env._sheet.gripper_poses()
@@ -106,25 +94,6 @@ def test_actions_move_each_gripper_and_its_corner_at_once(env):
     moved = env._sheet.gripper_poses()
     assert np.allclose(moved - start, [[-0.003, 0.0024, 0.0018], [0, 0, 0]], atol=2e-5)
     assert np.allclose(list(env.anchors.values()), moved, atol=1e-6)
-
-
-def test_it_falls_comes_to_rest_and_does_not_buzz(env):
-    moves = {
-        "lifted": [([0, 0, 1], 8)],
-        "dropped": [([0, 0, 1], 8), ([0, 0, -1], 8)],
-        "bunched": [([1, 0, 0.3, -1, 0, 0.3], 10)],
-        "dragged": [([0.7, 0.7, 0], 10)],
-    }
-    for seed, (name, motion) in enumerate(moves.items()):
-        env.reset(seed=seed)
-        play(env, motion)
-        play(env, [([0, 0, 0], 20)])
-        before = env._sheet.mesh.masses(env._body.data).copy()
-        play(env, [([0, 0, 0], 1)])
-        after = env._sheet.mesh.masses(env._body.data)
-        assert np.linalg.norm(after - before, axis=-1).max() < 2e-4, name
-        # everything that is not near the held edge lies on the table again
-        assert after[-1, 2:-2, 2].max() < 0.003, name
 
 
 def test_starts_are_unfolded_and_far_goals_are_not():

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from fuzzing.mutations import flip, mutate, mutate_bytes
-from fuzzing.outcomes import Outcome, Outcomes, opened_in
+from fuzzing.outcomes import Outcome, Outcomes
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.frame import Frame
 from shape_obs.recording import Moment, Recording, RecordingWriter
@@ -37,7 +37,7 @@ def damaged_recordings(folder: Path, count: int, seed: int) -> tuple[Counter[Out
         seed: Of the changes.
 
     Returns:
-        The outcomes, and how many readings opened a file outside of the recording.
+        The outcomes, and how often a path to an image outside of the recording was followed.
     """
     draw, outcomes, outside, left = np.random.default_rng(seed), Outcomes(BadRecording), folder / "outside", 0
     whole, changed = folder / "whole", folder / "changed"
@@ -49,9 +49,9 @@ def damaged_recordings(folder: Path, count: int, seed: int) -> tuple[Counter[Out
         shutil.rmtree(changed, ignore_errors=True)
         shutil.copytree(whole, changed)
         damages[i % len(damages)](changed, outside, draw)
-        with opened_in(outside) as opened:
-            outcomes.try_out(f"{damages[i % len(damages)].__name__} {i}", lambda: _read(changed))
-        left += bool(opened)
+        before = outcomes.counts["read"]
+        outcomes.try_out(f"{damages[i % len(damages)].__name__} {i}", lambda: _read(changed))
+        left += damages[i % len(damages)] is _path and outcomes.counts["read"] > before
     return outcomes.counts, left
 
 

@@ -48,38 +48,6 @@ def test_gl_and_rays_agree(name, camera):
         env.close()
 
 
-@needs_gl
-def test_a_print_lies_where_opengl_lays_it():
-    """Use a texture that encodes positions: red grows with x, green falls with y."""
-    pictures = []
-    for renderer in ("gl", "rays"):
-        env = make(
-            "Cable", {"others": False, "table": {"textured": 0.0, "shade": 0.0}, "camera": True}, renderer=renderer
-        )
-        play(env, 0, 0)
-        model = env._body.model
-        place = np.arange(512) / 2
-        red, green = np.meshgrid(place, place)
-        start = int(model.texture("table").adr[0])
-        model.tex_data[start : start + 512 * 512 * 3] = (
-            np.stack([red, green, 0 * red], axis=-1).astype(np.uint8).ravel()
-        )
-        env._rendering.refresh()
-        pictures.append(env._rendering.capture(env._body))
-        camera = env.camera_model
-        env.close()
-    (one, depth), (two, _) = pictures
-    table = ~near_an_edge(one)
-    v, u = np.nonzero(table)
-    points = camera.to_base(camera.intrinsics.deproject(np.stack([u, v], axis=1), depth[table]))
-    for picture in (one, two):
-        found = picture[table] / picture[table].max()
-        expected = np.stack([points[:, 0] / 1.6 + 0.5, 0.5 - points[:, 1] / 1.6], axis=1)
-        ratio = found[:, 0] / found[:, 1]
-        assert np.median(np.abs(ratio - expected[:, 0] / expected[:, 1])) < 0.03
-    assert np.abs(one.astype(int) - two)[table].max() <= 3
-
-
 @pytest.mark.parametrize("name", ENVS)
 @pytest.mark.parametrize("camera", [[84, 84], "rl"])
 def test_the_workspace_stays_in_view(name, camera):

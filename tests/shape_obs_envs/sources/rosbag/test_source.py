@@ -167,18 +167,6 @@ def test_images_of_a_lens_with_distortion_are_rectified(model, d, tmp_path):
 # ---- errors
 
 
-def test_a_truncated_file_is_named_as_such(mcap, tmp_path):
-    whole = mcap.read_bytes()
-    for name, data in (("half", whole[: len(whole) // 2]), ("start", whole[:20]), ("junk", b"hello" * 50)):
-        path = tmp_path / f"{name}.mcap"
-        path.write_bytes(data)
-        with pytest.raises(BadRecording, match=rf"{name}\.mcap: it cannot be opened.*mcap recover"):
-            open_source(path).connect()
-    (tmp_path / "empty.mcap").write_bytes(b"")
-    with pytest.raises(BadRecording, match=r"empty\.mcap: .*empty"):
-        open_source(tmp_path / "empty.mcap").connect()
-
-
 def test_flipped_bytes_never_raise_anything_else(mcap, frames, tmp_path):
     whole = np.frombuffer(mcap.read_bytes(), np.uint8)
     draw = np.random.default_rng(0)
@@ -212,39 +200,42 @@ def test_a_bag_without_an_index_is_read(mcap, frames, tmp_path):
     assert all(np.array_equal(frame.rgb, rgb) for frame, (rgb, _) in zip(read, frames, strict=True))
 
 
-def test_folders_without_their_file_or_with_a_bad_list_are_refused(mcap, tmp_path):
-    bag = tmp_path / "bag"
-    bag.mkdir()
-    listed = (mcap.parent / "metadata.yaml").read_text()
-    for text, message in (
-        (listed, "missing"),
-        ("{", "YAML"),
-        ("a: 1", "metadata key"),
-        ("[]", "metadata|damaged|list"),
-    ):
-        (bag / "metadata.yaml").write_text(text)
-        with pytest.raises(BadRecording, match=message):
-            open_source(bag).connect()
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("half.mcap", r"half\.mcap: it cannot be opened.*mcap recover"),
+        ("start.mcap", r"start\.mcap: it cannot be opened.*mcap recover"),
+        ("empty.mcap", r"empty\.mcap: .*empty"),
+        ("none.mcap", "no such file"),
+        ("alone", "missing"),
+        ("broken", "YAML"),
+        ("else", "metadata key"),
+        ("sqlite/sqlite.db3", "part of a rosbag2: give its folder, .*sqlite"),
+    ],
+)
+def test_bad_files_and_folders_are_refused(mcap, frames, tmp_path, name, message):
+    whole, listed = mcap.read_bytes(), (mcap.parent / "metadata.yaml").read_text()
+    for file, data in (("half", whole[: len(whole) // 2]), ("start", whole[:20]), ("empty", b"")):
+        (tmp_path / f"{file}.mcap").write_bytes(data)
+    for folder, text in (("alone", listed), ("broken", "{"), ("else", "a: 1")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "metadata.yaml").write_text(text)
+    write_bag(tmp_path / "sqlite", rgbd_messages(frames[:2], K), "sqlite3")
+    with pytest.raises(BadRecording, match=message):
+        open_source(tmp_path / name).connect()
 
 
-def test_the_sqlite_file_inside_a_rosbag2_leads_to_its_folder(frames, tmp_path):
-    file = write_bag(tmp_path / "bag", rgbd_messages(frames[:2], K), "sqlite3")
-    with pytest.raises(BadRecording, match=r"part of a rosbag2: give its folder, .*bag"):
-        open_source(file).connect()
-
-
-def test_bad_arguments_are_refused(tmp_path):
-    several: Any = (
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
         ({"depth": True}, "expected a topic, or false"),
         ({"start": -1.0}, "start: expected seconds"),
         ({"colour": "/x"}, r"does not take \['colour'\]"),
-    )
-    for arguments, message in several:
-        (tmp_path / "x.mcap").write_bytes(b"")
-        with pytest.raises(ValueError, match=message):
-            open_source(tmp_path / "x.mcap", **arguments)
-    with pytest.raises(BadRecording, match="no such file"):
-        open_source(tmp_path / "none.mcap")
+    ],
+)
+def test_bad_arguments_are_refused(mcap, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        open_source(mcap, **arguments)
 
 
 # ---- the commands
