@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
 import sys
+import time
+from pathlib import Path
 
+import numpy as np
 import pytest
+import yaml
 from ablation_study import STUDY, here, killing, numbers
 
 from shape_obs.ablation import Study
 from shape_obs.ablation.executors import Ray
 from shape_obs.ablation.sweep import left, sweep
+
+COMMAND = (sys.executable, "-c", "from shape_obs.cli import main; main()", "ablate")
 
 
 @pytest.mark.nightly
@@ -37,14 +46,31 @@ def test_without_ray_it_says_what_to_install(monkeypatch):
         Ray()
 
 
+def finished(root: Path) -> dict[Path, bytes]:
+    """Return the files of the finished runs of a study."""
+    runs = [path.parent for path in root.glob("*/seed*/run.json")]
+    return {path: path.read_bytes() for run in runs for path in run.iterdir()}
+
+
 @pytest.mark.nightly
 @pytest.mark.timeout(1200)
 def test_no_kill_loses_or_changes_a_finished_run(tmp_path):
     pytest.importorskip("mujoco")
     pytest.importorskip("stable_baselines3")
-    from fuzzing.killed_studies import killed_studies
-
-    killed = killed_studies(tmp_path, kills=10)
-    assert killed.kills == 10
-    assert killed.finished >= 1
-    assert (killed.lost, killed.different) == (0, 0)
+    (tmp_path / "study.yaml").write_text(yaml.safe_dump(dict(STUDY)))
+    whole, killed = ([*COMMAND, str(tmp_path / "study.yaml"), "--out", str(tmp_path / name)] for name in ("a", "b"))
+    subprocess.run(whole, check=True, capture_output=True)
+    draw, kept = np.random.default_rng(0), dict[Path, bytes]()
+    for number in range(8):  # at any instant of each of the four runs, two times
+        process = subprocess.Popen(killed, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+        while len(list((tmp_path / "b").glob("*/seed*/run.json"))) < number // 2 and process.poll() is None:
+            time.sleep(0.002)
+        time.sleep(draw.uniform(0.0, 8.0))
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)  # its workers too
+        assert process.wait() in (0, -signal.SIGKILL)
+        now = finished(tmp_path / "b")
+        assert {path: now.get(path) for path in kept} == kept
+        kept = now
+    subprocess.run(killed, check=True, capture_output=True)
+    assert numbers(tmp_path / "b") == numbers(tmp_path / "a")

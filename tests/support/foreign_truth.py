@@ -11,11 +11,9 @@ import gc
 import json
 import sys
 from collections.abc import Callable
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
@@ -31,7 +29,6 @@ from shape_obs import CameraModel, ShapeObservation
 Array = npt.NDArray[np.float64]
 
 STEPS = 30
-FLOOR, RADIUS = -0.1, 0.1  # of the Swimmer's world, and of its links, metres
 # Bodies, and places on their x axes: the nose, the joints, the tail. Rounded tips included.
 SWIMMER = (("torso", 1.6), ("torso", 0.5), ("mid", -1.0), ("back", -1.1))
 # What can be seen of the blue links: from the edge of the cylinder at the root to where the fingertip's sphere begins.
@@ -47,38 +44,6 @@ def spread(corners: Array, n: int) -> Array:
     """Return n equidistant points along a polyline, (n, 3)."""
     arc = np.append(0, np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1)))
     return np.stack([np.interp(np.linspace(0, arc[-1], n), arc, axis) for axis in corners.T], axis=1)
-
-
-def away(points: Array, corners: Array) -> Array:
-    """Return the distances from a polyline, (N,) metres."""
-    each = []
-    for a, b in pairwise(corners):
-        share = np.clip((points - a) @ (b - a) / np.sum((b - a) ** 2), 0, 1)
-        each.append(np.linalg.norm(points - a - share[:, None] * (b - a), axis=1))
-    return np.min(each, axis=0)
-
-
-def surfaces(**camera: Any) -> dict[str, float]:
-    """Return the distances of the Swimmer's depth pixels from the true surface in metres."""
-    gc.collect()
-    size = {"width": foreign_env.WIDTH, "height": foreign_env.HEIGHT}
-    env = foreign_env_depth.RGBDCamera(gym.make("Swimmer-v5", render_mode="rgbd_tuple", **camera, **size))
-    observation, _ = env.reset(seed=1)
-    first: CameraModel = env.camera_model
-    for step in range(STEPS):
-        observation, *_ = env.step(foreign_env.stroke(step))
-    model, depth = env.camera_model, observation["depth"]
-    v, u = np.mgrid[: depth.shape[0], : depth.shape[1]]
-    points = model.to_base(model.intrinsics.deproject(np.stack([u, v], axis=-1), depth)).reshape(-1, 3)
-    corners = joints(env.get_wrapper_attr("data"), SWIMMER)
-    corners[[0, -1]] -= RADIUS / 1.1 * (corners[[0, -1]] - corners[[1, -2]])  # the links' axes, without their caps
-    over = points[:, 2] > FLOOR + 0.02
-    off = np.where(over, np.abs(away(points, corners) - RADIUS), np.abs(points[:, 2] - FLOOR))
-    env.close()
-    assert model.transform_camera_to_base is not None
-    assert first.transform_camera_to_base is not None
-    moved = np.linalg.norm((model.transform_camera_to_base - first.transform_camera_to_base)[:3, 3])
-    return {"floor": off[~over].max(), "links": off[over].max(), "share": over.mean(), "moved": float(moved)}
 
 
 def follow(
@@ -110,15 +75,8 @@ def follow(
 
 
 def main() -> None:
-    slanted = {"lookat": [0.3, 0.2, 0.0], "distance": 5.0, "azimuth": 60.0, "elevation": -50.0}
-    views = {
-        "above": {"camera_id": -1, "default_camera_config": foreign_env.FROM_ABOVE},
-        "slanted": {"camera_id": -1, "default_camera_config": slanted},
-        "track": {"camera_name": "track"},
-    }
     above = foreign_env_depth.make_env().get_wrapper_attr("camera_model")  # the colour env's too
     measured = {
-        "surfaces": {name: surfaces(**camera) for name, camera in views.items()},
         "rgb": follow(foreign_env.make_env, foreign_env.stroke, SWIMMER, above),
         "rgbd": follow(foreign_env_depth.make_env, foreign_env.stroke, SWIMMER),
         "reacher": follow(foreign.reacher, foreign.swing, REACHER),

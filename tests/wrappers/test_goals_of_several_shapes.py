@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from strips_env import observing_strips
+from goal_envs import observing_strips
 
 from shape_obs import ShapeGoal, Target, record_goal, record_goals
 

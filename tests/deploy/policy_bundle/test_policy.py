@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from bundles import POINTS, WORKSPACE, cable, learner, train
 from fake_cell import rope_camera
+from goal_envs import StripsEnv, observing_strips
 from installed import needs
-from strips_env import StripsEnv, observing_strips
 
 import shape_obs_envs  # noqa: F401
 from shape_obs import ShapeGoal, ShapeObservation, load_bundle, save_bundle
@@ -141,7 +141,7 @@ class TestDeployable:
 
 @pytest.fixture
 def made() -> Iterator[Any]:
-    gym.register("BundleStrips-v0", "strips_env:StripsEnv")
+    gym.register("BundleStrips-v0", "goal_envs:StripsEnv")
     yield lambda: gym.make("BundleStrips-v0", disable_env_checker=True)
     del gym.registry["BundleStrips-v0"]
 

@@ -22,7 +22,6 @@ from shape_obs.detector import ShapeDetector
 from shape_obs.shape import Detection, Shape
 from shape_obs.tracking.missing import ShapeLostError
 from shape_obs.wrappers import ShapeObservation
-from tests.benchmarks.tables import at_most
 from tests.detection_contract import broken_shape
 
 #: What is counted, each asked to be zero.
@@ -51,17 +50,6 @@ class Failure(NamedTuple):
     promise: str
     case: int
     what: str
-
-
-def inputs_table(count: int, seed: int = 0) -> list[dict[str, Any]]:
-    """Return a row for each promise: how often it was broken by ``count`` random inputs."""
-    inputs, failures = random_inputs_run(count, seed)
-    broken = {promise: [failure for failure in failures if failure.promise == promise] for promise in PROMISES}
-    return [
-        at_most(f"{promise}, {inputs} random inputs", 0, len(found), "")
-        | {"first": f"case {found[0].case}: {found[0].what}" if found else ""}
-        for promise, found in broken.items()
-    ]
 
 
 def random_inputs_run(count: int, seed: int = 0) -> tuple[int, list[Failure]]:
