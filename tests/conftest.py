@@ -15,7 +15,7 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", 
 # Ray reads it on import. Under `uv run` it would build an environment for its workers, without the test's modules.
 os.environ.setdefault("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")
 
-# For rope_env and sheet_env, which tests and the worker processes that they start import.
+# For rope_env and goal_envs, which tests and the worker processes that they start import.
 sys.path.insert(0, str(Path(__file__).parent / "support"))
 
 import cv2

@@ -10,12 +10,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from drawn_frames import Frames, run
+from drawn_frames import record_drawn, run
 
 from shape_obs import Extrinsics, SpecError
 from shape_obs.calibration import Touch, fit_base, marker_points, read_touches, write_touches
 from shape_obs.markers import find_markers
-from shape_obs.recording import record
 from tests.benchmarks.scenes.tabletop import CAMERA, LAYOUT, MarkerScene, marker_scene
 
 PLACE = np.eye(4)
@@ -44,7 +43,7 @@ def recording(tmp_path_factory, scene):
     folder = tmp_path_factory.mktemp("base") / "recording"
     rng = np.random.default_rng(5)
     depths = [millimetres(scene.depth(rng)) for _ in range(3)]
-    record(Frames([scene.rgb] * 3, CAMERA, depths), folder)
+    record_drawn(folder, [scene.rgb] * 3, CAMERA, depths)
     return folder
 
 
@@ -137,7 +136,7 @@ class TestBase:
         assert kept == [touch for i, touch in enumerate(touches) if i < 10 and i != 3]
 
     def test_without_depth(self, tmp_path, touches, scene, capsys):
-        record(Frames([scene.rgb], CAMERA), tmp_path / "recording")
+        record_drawn(tmp_path / "recording", [scene.rgb], CAMERA)
         write_touches(tmp_path / "t.csv", touches)
         words = ["calibrate", "base", "--source", tmp_path / "recording", "--touches", tmp_path / "t.csv"]
         assert run(*words, "-o", tmp_path / "e.json") == 1

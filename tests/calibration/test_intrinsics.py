@@ -7,11 +7,10 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from drawn_frames import Frames, run
+from drawn_frames import record_drawn, run
 
 from shape_obs import Intrinsics, SpecError
 from shape_obs.calibration import Board, BoardViews, IntrinsicsFit, fit_intrinsics
-from shape_obs.recording import record
 from tests.benchmarks.calibration import board_images
 
 BOARD, VIEWED = Board(), Intrinsics(640, 480, 384.2, 385.1, 318.4, 243.7)
@@ -80,7 +79,7 @@ class TestIntrinsics:
 
     def test_a_recording_shows_whether_the_factory_is_right(self, tmp_path, images, capsys):
         for name, factory, code in (("good", VIEWED, 0), ("bad", replace(VIEWED, fx=400.0, fy=400.0), 1)):
-            record(Frames(images, factory), tmp_path / name)
+            record_drawn(tmp_path / name, images, factory)
             words = ["calibrate", "intrinsics", "--source", tmp_path / name, "-o", tmp_path / f"{name}.json"]
             assert run(*words) == code
             assert ("doubt" in capsys.readouterr().out) == bool(code)

@@ -10,7 +10,7 @@ import pytest
 from rope_env import RopeEnv
 
 from shape_obs import ShapeDetector
-from shape_obs.recording import Recording, ShapeLog, ShapeTable, Transition, record, replay
+from shape_obs.recording import Recording, ShapeLog, Transition, record, replay
 from shape_obs_envs.sources import EnvSource, FolderSource
 
 BLUE = {"kind": "hsv", "low": [100, 120, 60], "high": [125, 255, 255]}
@@ -90,19 +90,6 @@ def test_a_row_of_a_table_holds_the_action_chosen_for_its_frame(recorded):
     assert not table["truncated"].any()
     assert table["step"].tolist() == [0, 1, 2, 3, 0, 1, 2, 3, 0]
     assert table.metadata["robot"]["state"] == ["hand/0", "hand/1", "hand/2"]
-
-
-@pytest.mark.parametrize("suffix", ["csv", "npz", "parquet"])
-def test_tables_with_steps_come_back(recorded, tmp_path, suffix):
-    if suffix == "parquet":
-        pytest.importorskip("pyarrow")
-    table = table_of(recorded[0])
-    table.save(tmp_path / f"t.{suffix}")
-    back = ShapeTable.load(tmp_path / f"t.{suffix}")
-    assert list(back.columns) == list(table.columns)
-    for name in ("step", "action", "reward", "terminated", "truncated", "state"):
-        assert back[name].dtype == table[name].dtype, name
-        assert np.array_equal(back[name], table[name], equal_nan=back[name].dtype.kind == "f"), name
 
 
 def test_a_recording_of_a_recording_keeps_all(recorded, tmp_path):

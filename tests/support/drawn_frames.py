@@ -1,47 +1,24 @@
-"""A source of frames that a test has drawn, and the command line as a test calls it."""
+"""A recording of frames that a test has drawn, and the command line as a test calls it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
 import pytest
+from noise_frames import camera_of
 
 from shape_obs import CameraModel, Frame, Intrinsics
 from shape_obs.cli import main
-from shape_obs.source import EndOfSource, Source
+from shape_obs.recording import record
 
 
-class Frames(Source):
-    """Frames that a test has drawn."""
-
-    kind, name, live = "folder", "drawn", False
-
-    def __init__(self, images, intrinsics: Intrinsics | None, depths=None):
-        super().__init__()
-        self._frames = list(zip(images, depths or [None] * len(images), strict=True))
-        self._intrinsics, self.has_depth = intrinsics, depths is not None
-
-    @property
-    def serial(self) -> str:
-        return "0123"
-
-    @property
-    def intrinsics(self) -> Intrinsics | None:
-        return self._intrinsics
-
-    def connect(self) -> None:
-        self._left = list(self._frames)
-
-    def disconnect(self) -> None:
-        pass
-
-    def read(self, timeout: float = 1.0, fresh: bool = False) -> Frame:
-        if not self._left:
-            raise EndOfSource("over")
-        rgb, depth = self._left.pop(0)
-        camera = None if self._intrinsics is None else CameraModel(self._intrinsics)
-        return Frame(rgb, depth, camera, stamp=(len(self._frames) - len(self._left)) / 30)
-
-    def read_latest(self, max_age: float = 0.1) -> Frame:
-        return self.read()
+def record_drawn(folder: Path, images: Sequence[Any], intrinsics: Intrinsics, depths: Sequence[Any] = ()) -> None:
+    """Record images, with depths if there are any."""
+    pairs = zip(images, depths or [None] * len(images), strict=True)
+    frames = [Frame(rgb, depth, CameraModel(intrinsics), stamp=i / 30) for i, (rgb, depth) in enumerate(pairs)]
+    record(camera_of(frames, live=False), folder)
 
 
 def run(*words: object) -> int:

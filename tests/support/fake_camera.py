@@ -1,4 +1,4 @@
-"""A camera that plays a script of events: stalls, drops, errors, unplugging, the end."""
+"""A camera that plays a script of events: stalls, errors, unplugging."""
 
 from __future__ import annotations
 
@@ -61,8 +61,7 @@ class FakeCamera(Source):
         self._begin: float | None = None
         self._last, self._silent = -1, (math.inf, math.inf)
         self._error: BaseException | None = None
-        self._unplugged = self._over = self.dark = False
-        self._dropped: set[int] = set()
+        self._unplugged = self.dark = False
         self.calls: list[str] = []
         self.delay = 0.0
         self.exposure: float | None = None
@@ -79,17 +78,9 @@ class FakeCamera(Source):
         """Be there again, and deliver frames."""
         self._unplugged, self._silent = False, (math.inf, math.inf)
 
-    def drop(self, *numbers: int) -> None:
-        """Lose frames on the way."""
-        self._dropped.update(numbers)
-
     def fail(self, error: BaseException) -> None:
         """Raise an error, once, instead of the next frame."""
         self._error = error
-
-    def end(self) -> None:
-        """Deliver no more frames."""
-        self._over = True
 
     # ---- RGBDSource
 
@@ -119,8 +110,6 @@ class FakeCamera(Source):
     def read(self, timeout: float = 1.0, fresh: bool = False) -> Frame:
         begin = self._check()
         number = self._last + 1
-        while number in self._dropped:
-            number += 1
         silent, again = self._silent
         due = begin + number * self._period
         if silent <= max(due, self.clock.now()) < again:  # what came meanwhile is lost
@@ -156,10 +145,7 @@ class FakeCamera(Source):
             return self._last + 1
         assert self._begin is not None
         now, (silent, again) = self.clock.now(), self._silent
-        number = math.floor(((silent if silent <= now < again else now) - self._begin) / self._period + 1e-6)
-        while number in self._dropped:
-            number -= 1
-        return number
+        return math.floor(((silent if silent <= now < again else now) - self._begin) / self._period + 1e-6)
 
     def _play(self, number: int) -> bool:
         """Call the events up to a frame; return whether there were any."""
@@ -172,7 +158,7 @@ class FakeCamera(Source):
         error, self._error = self._error, None
         if error is not None:
             raise error
-        if self._over or (not callable(self._images) and number >= len(self._images)):
+        if not callable(self._images) and number >= len(self._images):
             raise EndOfSource(f"fake camera: end of its {number} frames")
         self._last = number
         if not callable(self._images):

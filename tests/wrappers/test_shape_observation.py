@@ -11,11 +11,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from env_checks import check_both
+from goal_envs import RED, FlatGoalEnv
 from gymnasium import spaces
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rope_env import BLUE, INTRINSICS, PixelEnv, RopeEnv, run, walk, wrapped
-from sheet_env import SheetEnv
 
 from shape_obs import CameraModel, Centerline, HSVRange, ShapeObservation, SpecError
 from shape_obs.features import Points3D
@@ -156,19 +156,20 @@ class TestCamera:
 
 
 def test_corners_stay_on_the_material_while_a_sheet_turns_half_round():
-    red = {"kind": "hsv", "low": [170, 120, 60], "high": [10, 255, 255]}
     shapes = [{"kind": "surface", "rows": 3, "cols": 5, "ends": "tips"}, {"kind": "contour", "n": 16}]
-    env = ShapeObservation(SheetEnv(), shapes, red, ["points3d", "valid"])
+    env = ShapeObservation(FlatGoalEnv("surface", tilt=0, goals=False), shapes, RED, ["points3d", "valid"])
     check_both(env)
     observation, _ = env.reset(seed=3)
     assert observation.shape == (4 * (15 + 16),)
     inner: Any = env.unwrapped
+    inner.end = inner.start + (0.0, 0.0, 3.2, 0.0, 0.0)
     for _ in range(32):
-        _, _, _, _, info = env.step(np.array([1.0, 0.5], np.float32))
+        _, _, _, _, info = env.step(np.full(1, 0.32, np.float32))
         assert [info[f"shape/{name}ok"] for name in ("", "surface/", "contour/")] == [True] * 3
         assert env.detection is not None
-        np.testing.assert_allclose(env.detection["surface"].pixels[[0, 4, 14, 10]], inner.corners(), atol=2.5)
-    assert inner.angle > 3
+        corners = inner.camera_model.project_from_base(inner.material(inner.state(), [0, 1, 1, 0], [0, 0, 1, 1]))
+        np.testing.assert_allclose(env.detection["surface"].pixels[[0, 4, 14, 10]], corners, atol=2.5)
+    assert inner.way == 1
 
 
 @pytest.mark.parametrize(
