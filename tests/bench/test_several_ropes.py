@@ -4,10 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
 
-from tests.benchmarks.rope_scores import judge, seen_axis, steps_off
+from tests.benchmarks.rope_scores import judge, seen_axis
 from tests.benchmarks.scenes.layouts import intersections
 from tests.benchmarks.scenes.moving_ropes import MOTIONS, moving_ropes
 from tests.benchmarks.scenes.several_ropes import noisy_depth, several_ropes
@@ -95,18 +93,3 @@ def test_the_truth_is_right_in_either_direction_and_every_fault_is_noticed():
             assert (verdict.wrong, sum(verdict.right)) == (wrong, len(found) - wrong), name
             seen.add(name)
     assert {"swapped", "loop reversed", "loop left out"} <= seen
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_steps_off_are_a_shortest_path(seed):
-    rng = np.random.default_rng(seed)
-    truth, found = (np.cumsum(rng.normal(0, 1, (count, 2)), axis=0) for count in rng.integers(5, 30, 2))
-    far = np.linalg.norm(truth[:, None] - found[None], axis=2) > 2.0
-    index = np.arange(far.size).reshape(far.shape)
-    steps = [(index[:-1], index[1:]), (index[:, :-1], index[:, 1:]), (index[:-1, :-1], index[1:, 1:])]
-    start, end = (np.concatenate([pair[k].ravel() for pair in steps]) for k in range(2))
-    # Costs are shifted by a small amount, since a sparse graph has no edges of length 0.
-    pairs = start.astype(np.int32), end.astype(np.int32)
-    graph = coo_array((far.ravel()[end] + 1e-6, pairs), shape=(far.size, far.size)).tocsr()
-    shortest = dijkstra(graph, indices=0)[-1] + far[0, 0]
-    assert steps_off(truth, found, np.full(len(truth), 2.0), 0) == round(shortest)
