@@ -127,6 +127,7 @@ CLAIMS: Final = (
             Limit("refused [%]", at_most=3, unit="%", where=_OTHERS),
             Limit("refused [%]", at_most=3, unit="%", where={"cover": "bar"}, known=_SMALL),
             Limit("seen [%]", at_least=95, unit="%"),
+            Limit("hidden and valid [%]", at_most=25, unit="%"),
         ),
     ),
     Claim(

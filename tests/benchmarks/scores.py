@@ -279,6 +279,8 @@ VISIBLE_LIMITS: Final = (
     Limit("refused [%]", at_most=2, unit="%"),
     Limit("seen [%]", at_least=90, unit="%"),
 )
+# Points next to a hand may count as either.
+HAND_LIMITS: Final = (*VISIBLE_LIMITS, Limit("hidden and valid [%]", at_most=25, unit="%"))
 
 
 def tally_visible(frames: Iterable[Row]) -> Row:

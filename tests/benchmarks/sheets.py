@@ -20,6 +20,7 @@ from tests.benchmarks.scenes.sheets import random_sheet, true_lattice, turning_s
 from tests.benchmarks.scores import (
     ASPECTS,
     BOTH_ENDS,
+    HAND_LIMITS,
     SLIP,
     VISIBLE,
     VISIBLE_LIMITS,
@@ -134,7 +135,7 @@ CLAIMS: Final = (
     *(
         Claim(f"sheets.hands.{name}", f"Cloths over a corner or a side of which a hand comes, stays and goes: {name}.",
               hands(_CLOTH, seen_points, get_args(Hand), depth), hidden_row, ("rows", "motion"), VISIBLE,
-              limits=VISIBLE_LIMITS)
+              limits=HAND_LIMITS)
         for name, depth in (("mask", False), ("depth", True))
     ),
     *(
