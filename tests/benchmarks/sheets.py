@@ -58,9 +58,9 @@ def cold_sheet(sheet: Sheet) -> Iterator[Row]:
 def motions(effort: Effort) -> Iterator[tuple[str, list[Sheet]]]:
     """Draw cloths that turn once around on the spot by a degree per frame, and that wander by 12 px, turn and bend."""
     for seed in effort.seeds(6):
-        rng, aspect = np.random.default_rng(seed), ASPECTS[seed % len(ASPECTS)]
-        yield "a full turn", list(turning_sheet(rng, aspect))
-        yield "12 px a frame", list(moving_sheet(rng, 12, aspect=aspect))
+        aspect = ASPECTS[seed % len(ASPECTS)]
+        yield "a full turn", list(turning_sheet(np.random.default_rng(seed), aspect))
+        yield "12 px a frame", list(moving_sheet(np.random.default_rng(seed), 12, aspect=aspect))
 
 
 def follow(scene: tuple[str, list[Sheet]]) -> Row:
