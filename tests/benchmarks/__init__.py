@@ -19,7 +19,6 @@ S = TypeVar("S")
 Mask: TypeAlias = npt.NDArray[np.uint8]
 Env = Literal["Cable", "Ring", "Cloth", "Hanging"]
 ENVS: Final[tuple[Env, ...]] = get_args(Env)
-Size = tuple[int, int]  # (width, height) of an image, in pixels
 
 
 def cold(spec: Configuration, mask: Mask) -> Shape:
@@ -27,14 +26,10 @@ def cold(spec: Configuration, mask: Mask) -> Shape:
     return ShapeDetector([spec]).detect_mask(mask).shapes[0]
 
 
-def _in_mask(detector: ShapeDetector, scene: Any) -> Detection:
-    return detector.detect_mask(scene.mask)
-
-
 def followed(
     scenes: Iterable[S],
     begin: Callable[[S], ShapeDetector],
-    detect: Callable[[ShapeDetector, S], Detection] = _in_mask,
+    detect: Callable[[ShapeDetector, Any], Detection] = lambda detector, scene: detector.detect_mask(scene.mask),
 ) -> Iterator[tuple[S, Detection]]:
     """Track an object through the frames of a motion.
 

@@ -8,10 +8,11 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from shape_obs.spec import to_plain
 from shape_obs.utils.documents import read_json
+from shape_obs.utils.files import write_text
 from tests.benchmarks.claim import Effort
-from tests.benchmarks.runner import RESULTS, all_claims, misses, plain, report, run_all, save, select, write_page
-from tests.benchmarks.tables import as_text
+from tests.benchmarks.runner import RESULTS, all_claims, misses, page, report, run_all, save, select
 
 
 def main(argv: Sequence[str]) -> int:
@@ -30,30 +31,28 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--list", action="store_true", help="list the claims and end")
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
     parser.add_argument("--out", type=Path, default=RESULTS, metavar="FILE", help="the file of all results")
-    parser.add_argument("--page", type=Path, action="append", default=[], metavar="FILE",
-                        help="measure nothing, and fill the tables of this Markdown page from the results")  # fmt: skip
+    parser.add_argument("--page", type=Path, metavar="FILE", help="measure nothing, and write a page of all results")
     args = parser.parse_args(argv)
     if args.share <= 0:
         parser.error("--share must be above 0")
     if args.page:
-        for page in args.page:
-            print(f"{page}: {', '.join(write_page(page, read_json(args.out, 'results'))) or 'no table'}")
+        write_text(args.page, page(read_json(args.out, "results")))
         return 0
     try:
         claims = select(all_claims(), args.names)
     except ValueError as error:
         parser.error(str(error))
     if args.list:
-        print("\n".join(f"{claim.name:24}{claim.what}" for claim in claims))
+        print("\n".join(f"{claim.name:26}{claim.what}" for claim in claims))
         return 0
     effort, missed, printed = Effort(args.share, args.seed, args.renderer, args.garments), [], {}
-    for claim, outcome in run_all(claims, effort, args.jobs):
-        save(args.out, claim, outcome, effort)
-        missed += [f"{claim.name}: {limit.limit}: asked {limit.asked}, seen {limit.seen}" for limit in misses(outcome)]
-        printed[claim.name] = plain(outcome)
+    for name, outcome in run_all(claims, effort, args.jobs):
+        save(args.out, name, outcome)
+        missed += [f"{name}: {limit.limit}: asked {limit.asked}, seen {limit.seen}" for limit in misses(outcome)]
+        printed[name] = to_plain(outcome)
         if not args.json:
-            print(report(claim, outcome, as_text), flush=True)
-    print(json.dumps(printed, indent=1) if args.json else "\n".join(["", "missed:", *missed] if missed else []))
+            print(report(name, outcome), end="\n\n", flush=True)
+    print(json.dumps(printed, indent=1) if args.json else "\n".join(["missed:", *missed] if missed else []))
     return int(bool(missed))
 
 

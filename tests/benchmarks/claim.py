@@ -65,31 +65,23 @@ class Limit:
         Raises:
             KeyError: The table has no such column.
         """
-        some = [row for row in table if all(_matches(row[name], value) for name, value in self.where.items())]
-        values = [float(row[self.column]) for row in some if row[self.column] is not None]
+        wanted = {name: value if isinstance(value, tuple) else (value,) for name, value in self.where.items()}
+        rows = [row for row in table if all(row[name] in values for name, values in wanted.items())]
+        values = [float(row[self.column]) for row in rows if row[self.column] is not None]
         values = [value for value in values if value == value]
-        seen = None if not values else max(values) if self.at_most is not None else min(values)
-        bound = self.at_most if self.at_most is not None else self.at_least
+        below, bound = self.at_most is not None, self.at_least if self.at_most is None else self.at_most
         if share < 1 and self.sampled is not None:
             bound = self.sampled
         assert bound is not None
-        keeps = seen is not None and (seen <= bound if self.at_most is not None else seen >= bound)
-        what = ", ".join([self.column, *(f"{name} {_text(value)}" for name, value in self.where.items())])
+        seen = (max if below else min)(values, default=None)
+        keeps = seen is not None and (seen <= bound if below else seen >= bound)
         return Row(
-            limit=what,
-            asked=f"{'<=' if self.at_most is not None else '>='} {bound:g}{self.unit and ' ' + self.unit}",
+            limit=", ".join([self.column, *(f"{name} {' or '.join(map(str, some))}" for name, some in wanted.items())]),
+            asked=f"{'<=' if below else '>='} {bound:g}{self.unit and ' ' + self.unit}",
             seen=seen,
             ok="not measured" if seen is None else "yes" if keeps else "no",
             known=self.known,
         )
-
-
-def _matches(found: Any, value: Any) -> bool:
-    return found in value if isinstance(value, tuple) else found == value
-
-
-def _text(value: Any) -> str:
-    return " or ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 @dataclass(frozen=True)

@@ -56,8 +56,8 @@ def flat_objects(effort: Effort) -> Iterator[Track]:
 def environments(effort: Effort) -> Iterator[Track]:
     """Return the simulated environments under random actions."""
     for env, seed in product(ENVS, effort.seeds(8)):
-        found = episodes(Setting(env, "d455", "noise", effort.renderer), [seed])[0].beliefs
-        yield f"{env}-v0", True, (Row(ok=True, belief=belief) for belief in found)
+        setting = Setting(env, "d455", "noise", effort.renderer)
+        yield f"{env}-v0", True, (row for row in episodes(setting, [seed]) if row.belief)
 
 
 def beliefs(scene: Track) -> Iterator[Row]:

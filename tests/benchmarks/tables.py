@@ -1,15 +1,14 @@
-"""Rows of results, rows that compare a result with its target, and the printers of tables."""
+"""Rows of results, the columns of their summaries, and tables of them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import attrgetter
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-K = TypeVar("K", bound=Hashable)
-T = TypeVar("T")
+from shape_obs.bench.report import markdown_table
 
 
 class Row(dict[str, Any]):
@@ -25,38 +24,17 @@ class Row(dict[str, Any]):
 Column = Callable[[list[Row]], Any]
 
 
-def at_least(what: str, target: float, seen: float | None, unit: str = "x") -> Row:
-    """Return a row for a figure that must reach its target; ``seen`` is None if it was not measured."""
-    return _compared(what, f">= {target:g}{unit}", seen, seen is not None and seen >= target)
-
-
-def at_most(what: str, target: float, seen: float | None, unit: str = "x") -> Row:
-    """Return a row for a figure that must not exceed its target; ``seen`` is None if it was not measured."""
-    return _compared(what, f"<= {target:g}{unit}", seen, seen is not None and seen <= target)
-
-
-def _compared(what: str, target: str, seen: float | None, reached: bool) -> Row:
-    answer = "not measured" if seen is None else "yes" if reached else "no"
-    return Row(what=what, asked=target, seen=None if seen is None else float(seen), reached=answer)
-
-
-def grouped(values: Iterable[T], key: Callable[[T], K]) -> dict[K, list[T]]:
-    """Return the values by key, in the order in which the keys first appear."""
-    groups: dict[K, list[T]] = {}
-    for value in values:
-        groups.setdefault(key(value), []).append(value)
-    return groups
-
-
 def summary(rows: Iterable[Row], by: Sequence[str], columns: Mapping[str, Column]) -> list[Row]:
-    """Return a row for each group of rows.
+    """Return a row for each group of rows, in the order in which the groups first appear.
 
     Args:
         rows: The rows.
         by: The fields that are equal in a group; they come first.
         columns: Name of a field of the summary -> function that takes the rows of a group.
     """
-    groups = grouped(rows, lambda row: tuple(row[name] for name in by))
+    groups: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[name] for name in by), []).append(row)
     return [
         Row(zip(by, key, strict=True), **{name: column(some) for name, column in columns.items()})
         for key, some in groups.items()
@@ -117,28 +95,12 @@ def median(values: Iterable[float | None]) -> float | None:
     return float(np.median(known)) if known else None
 
 
-def as_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return rows of equal keys as aligned columns."""
-    if not rows:
-        return "-"
-    cells = [[*rows[0]], *([_cell(value) for value in row.values()] for row in rows)]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    return "\n".join("  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in cells)
-
-
 def as_markdown(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return rows of equal keys as a Markdown table with three significant digits."""
-    numeric = [all(isinstance(row[name], (int, float, type(None))) for row in rows) for name in rows[0]]
-    lines = [[*rows[0]], ["---:" if right else "---" for right in numeric]]
-    lines += [[_cell(value, short=True) for value in row.values()] for row in rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    """Return rows of equal keys as an aligned Markdown table with four significant digits."""
+    return markdown_table([{name: _cell(value) for name, value in row.items()} for row in rows])
 
 
-def _cell(value: Any, short: bool = False) -> str:
-    if value is None:
-        return "-"
-    if not isinstance(value, float):
-        return str(value)
-    if short:
-        return f"{value:.3g}" if abs(value) < 10 else f"{value:.0f}"
-    return f"{value:.3f}"
+def _cell(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
+    return "-" if value is None else str(value)

@@ -22,12 +22,6 @@ def stops():
     return deployment
 
 
-@pytest.fixture(scope="module")
-def arm(stops):
-    with stops.ArmProcess() as arm:
-        yield arm
-
-
 @pytest.mark.parametrize(
     ("name", "state", "code"),
     [
@@ -40,21 +34,21 @@ def arm(stops):
         pytest.param("exception", "moving", 1, marks=pytest.mark.nightly),
     ],
 )
-def test_the_arm_stands_still_at_once_and_the_run_ends_in_order(stops, arm, name, state, code):
-    found = stops.stop(arm, name, state)
+def test_the_arm_stands_still_at_once_and_the_run_ends_in_order(stops, name, state, code):
+    found = stops.stop(name, state)
     assert found.seconds < IN_TIME
     assert (found.moved_again, found.code, found.report) == (False, code, True)
 
 
-def test_a_killed_process_leaves_an_arm_that_stops_by_itself(stops, arm):
-    found = stops.stop(arm, "SIGKILL", "moving", max_age=stops.MAX_AGE)
+def test_a_killed_process_leaves_an_arm_that_stops_by_itself(stops):
+    found = stops.stop("SIGKILL", "moving", max_age=stops.MAX_AGE)
     assert 0 < found.seconds < stops.MAX_AGE + 0.1
     assert (found.moved_again, found.code) == (False, -9)
 
 
 @pytest.mark.nightly
-def test_c_code_that_holds_the_lock_of_python_moves_no_arm_for_longer_than_its_image_allows(stops, arm):
-    found = stops.stop(arm, "SIGTERM", "C with the lock", max_age=stops.MAX_AGE)
+def test_c_code_that_holds_the_lock_of_python_moves_no_arm_for_longer_than_its_image_allows(stops):
+    found = stops.stop("SIGTERM", "C with the lock", max_age=stops.MAX_AGE)
     assert found.seconds < stops.MAX_AGE + 0.1
     assert found.code == 143
 
