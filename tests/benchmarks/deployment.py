@@ -75,8 +75,8 @@ def run(
         if moment.judgement.move != "act":
             return
         frame, shape, affected = moment.frame, moment.detection.shapes[0], robot.affected
-        again = frame is None or frame.number in used or shape.age > 0 or not shape.ok
-        if again or any(frame.number in affected.get(kind, ()) for kind in ("drop", "freeze", "black")):
+        spoilt = used.union(*(affected.get(kind, ()) for kind in ("drop", "freeze", "black")))
+        if frame is None or frame.number in spoilt or shape.age > 0 or not shape.ok:
             rows.append(Row(stale=True, mm=np.nan, slipped=False, wrong=False))
             return
         used.add(frame.number)

@@ -131,11 +131,11 @@ _STRAIN: Final[dict[Env, float]] = {"Cloth": 10, "Ring": 3}
 def _points(env: Env) -> Claim:
     """Return the claim about the points, and the physics, of an environment."""
 
-    def scenes(effort: Effort) -> Iterator[tuple[Setting, range]]:
+    def scenes(effort: Effort) -> Iterable[tuple[Setting, range]]:
         seeds = effort.seeds(150)
         chunks = [seeds[first : first + 10] for first in range(0, len(seeds), 10)]
-        settings = product([env], CAMERAS, CONDITIONS, [effort.renderer])
-        return ((Setting(*setting), chunk) for setting, chunk in product(settings, chunks))
+        settings = [Setting(env, camera, how, effort.renderer) for camera, how in product(CAMERAS, CONDITIONS)]
+        return product(settings, chunks)
 
     where = [{"camera": "d455", "condition": how} for how in CONDITIONS]
     means = (Limit("mean [mm]", at_most=most, unit="mm", where=at) for most, at in zip(_MEAN[env], where, strict=True))
