@@ -61,9 +61,6 @@ class Limit:
 
         Returns:
             ``limit``: the column and the rows; ``asked``, ``seen``; ``ok``: "yes", "no" or "not measured"; ``known``.
-
-        Raises:
-            KeyError: The table has no such column.
         """
         wanted = {name: value if isinstance(value, tuple) else (value,) for name, value in self.where.items()}
         rows = [row for row in table if all(row[name] in values for name, values in wanted.items())]
@@ -112,18 +109,14 @@ class Claim:
     alone: bool = False
     needs: tuple[str, ...] = ()
 
-    def results(self, effort: Effort) -> list[Row]:
-        """Measure every scene and return the results of all scenes."""
-        found: list[Row] = []
+    def table(self, effort: Effort) -> list[Row]:
+        """Measure every scene and return the table."""
+        results: list[Row] = []
         for scene in self.scenes(effort):
-            rows = self.measure(scene)
-            found += [rows] if isinstance(rows, Row) else rows
-        return found
-
-    def table(self, results: Sequence[Row]) -> list[Row]:
-        """Return the table of some results."""
+            found = self.measure(scene)
+            results += [found] if isinstance(found, Row) else found
         if not self.columns:
-            return list(results)
+            return results
         rows = summary(results, self.by, self.columns)
         if self.total and rows:
             whole = summary(results, (), self.columns)[0]

@@ -9,7 +9,6 @@ from typing import Any, Final, Literal, NamedTuple, get_args
 
 import gymnasium as gym
 import numpy as np
-import numpy.typing as npt
 
 from tests.benchmarks import ENVS, Env
 from tests.benchmarks.claim import Claim, Effort, Limit
@@ -20,7 +19,7 @@ Condition = Literal["clean", "noise", "randomised"]
 Camera = Literal["d455", "rl"]
 CONDITIONS: Final[tuple[Condition, ...]] = get_args(Condition)
 CAMERAS: Final[tuple[Camera, ...]] = get_args(Camera)
-EPISODE: Final = 50  # steps
+_EPISODE: Final = 50  # steps
 _ACTIONS: Final = 0xE9  # separates the actions from everything else that is drawn from an episode's seed
 
 
@@ -45,14 +44,6 @@ def make_env(name: str, options: Mapping[str, Any]) -> gym.Env[Any, Any]:
     return gym.make(f"shape_obs_envs:ShapeObs/{name}-v0", disable_env_checker=True, max_episode_steps=-1, **options)
 
 
-def held_actions(
-    rng: np.random.Generator, shape: tuple[int, ...], steps: int, held: int = 1
-) -> npt.NDArray[np.float32]:
-    """Draw (steps, *shape) random actions, each held for ``held`` steps; white noise moves grippers less."""
-    drawn = rng.uniform(-1, 1, (-(-steps // held), *shape))
-    return np.repeat(drawn, held, axis=0)[:steps].astype(np.float32)
-
-
 def strain(simulator: Any) -> float:
     """Return the largest strain of an edge of a sheet or a link of a ring in percent; the links of ropes are rigid."""
     body, kind = simulator._body, simulator.goal_layout["kind"]
@@ -65,7 +56,7 @@ def strain(simulator: Any) -> float:
     return 0.0
 
 
-def episodes(setting: Setting, seeds: Iterable[int], steps: int = EPISODE) -> Iterator[Row]:
+def episodes(setting: Setting, seeds: Iterable[int]) -> Iterator[Row]:
     """Run an episode of random actions for each seed; odd seeds hold each action for eight steps.
 
     Yields:
@@ -87,9 +78,10 @@ def episodes(setting: Setting, seeds: Iterable[int], steps: int = EPISODE) -> It
     goal, shape_of = simulator.truth(), env.action_space.shape
     with closing(env):
         for seed in seeds:
-            rng = np.random.default_rng((_ACTIONS, seed))
+            held = 8 if seed % 2 else 1  # white noise moves grippers less
+            drawn = np.random.default_rng((_ACTIONS, seed)).uniform(-1, 1, (-(-_EPISODE // held), *shape_of))
             observation, _ = env.reset(seed=seed, options={"goal": goal})
-            for action in [*held_actions(rng, shape_of, steps, 8 if seed % 2 else 1), None]:
+            for action in [*np.repeat(drawn, held, axis=0)[:_EPISODE].astype(np.float32), None]:
                 shape, folded = env.detection.shapes[0], not getattr(simulator, "unfolded", True)
                 row = Row(setting._asdict(), ok=shape.ok, folded=folded, strain=strain(simulator))
                 row.update(mm=np.nan, held=False, slip=0.0, slipped=False, flipped=False, belief=None)

@@ -10,7 +10,6 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from shape_obs import metrics
 from shape_obs.camera import Intrinsics
@@ -28,7 +27,6 @@ from tests.benchmarks.scenes.streams import Scene, Work, outline_pixels, work
 from tests.benchmarks.tables import Row, of, total, worst
 from tests.benchmarks.timing import Method, median_ms, time_methods, timed
 
-Mask = npt.NDArray[np.uint8]
 Size = tuple[int, int]
 WARM, COLD = "shape_obs, warm", "shape_obs, cold"
 _WARM_UP: Final = 5  # frames that are not counted
@@ -49,11 +47,9 @@ def methods(task: Work, few: set[int]) -> Iterator[Method[Scene]]:
     warm, cold = (ShapeDetector([task.configuration]) for _ in range(2))
 
     def detected(scene: Scene, detector: ShapeDetector) -> Any:
+        if detector is cold:
+            cold.reset()
         return detector.detect_mask(scene.mask).shapes[0].pixels
-
-    def from_scratch(scene: Scene) -> Any:
-        cold.reset()
-        return detected(scene, cold)
 
     def mapped(scene: Scene) -> Any:
         som = MiniSom(*task.grid, 2, random_seed=0)
@@ -72,8 +68,8 @@ def methods(task: Work, few: set[int]) -> Iterator[Method[Scene]]:
         outline = closed(outline_pixels(scene.mask))
         return even_around(outline, arc_length(outline), 0.0, n)
 
-    yield Method(WARM, lambda scene: detected(scene, warm))
-    yield Method(COLD, from_scratch)
+    yield Method(WARM, partial(detected, detector=warm))
+    yield Method(COLD, partial(detected, detector=cold))
     yield Method("minisom, 1000 iterations", mapped)
     yield Method("K-means, n_init 1", means)
     yield Method("K-means, n_init 10", partial(means, n_init=10), few)
@@ -122,25 +118,24 @@ def peers(works: tuple[Any, int, int]) -> Iterator[Row]:
         yield Row(row, **{"spacing CV [%]": spacing if spacing == spacing else None})
 
 
-def inputs(mask: Mask, rng: np.random.Generator) -> dict[str, Callable[[ShapeDetector], Detection]]:
-    """Return what a detector may be given of a mask: an image of the same pixels, and noisy depth under it."""
-    height, width = mask.shape
+def stray_frames(scene: tuple[Size, str, int]) -> Iterator[Row]:
+    """Detect a pattern without a track, in a mask, with noisy depth under it, or in an image of the same pixels.
+
+    Yields:
+        The least processor time of a frame in up to three tries.
+    """
+    size, pattern, seed = scene
+    rng, (width, height) = np.random.default_rng([seed, list(PATTERNS).index(pattern)]), size
+    mask = PATTERNS[pattern](rng, size)
     depth = (0.7 + 0.002 * rng.standard_normal(mask.shape)).astype(np.float32)
     camera = Intrinsics(width, height, float(width), float(width), width / 2 - 0.5, height / 2 - 0.5)
     rgb = np.repeat(mask[..., None], 3, axis=2)
-    return {
+    given: dict[str, Callable[[ShapeDetector], Detection]] = {
         "mask": lambda detector: detector.detect_mask(mask),
         "mask and depth": lambda detector: detector.detect_mask(mask, depth, camera),
         "image": lambda detector: detector.detect(rgb, depth, camera),
         "cloud": lambda detector: detector.detect_mask(mask, depth, camera),
     }
-
-
-def stray_frames(scene: tuple[Size, str, int]) -> Iterator[Row]:
-    """Detect a pattern without a track; yield the least processor time of a frame in up to three tries."""
-    size, pattern, seed = scene
-    rng = np.random.default_rng([seed, list(PATTERNS).index(pattern)])
-    given = inputs(PATTERNS[pattern](rng, size), rng)
     for kind, (name, look) in product((Centerline, Contour, Surface), given.items()):
         spec = kind(lift="cloud" if name == "cloud" else "points")
         detector, taken = ShapeDetector([spec], GrayRange(low=128)), list[tuple[Detection, float]]()
@@ -148,7 +143,7 @@ def stray_frames(scene: tuple[Size, str, int]) -> Iterator[Row]:
             detector.reset()
             taken.append(timed(partial(look, detector), time.process_time))
         found, ms = min(taken, key=lambda each: each[1])
-        row = Row(size=f"{size[0]}x{size[1]}", pattern=pattern, shape=spec.kind, given=name)
+        row = Row(size=f"{width}x{height}", pattern=pattern, shape=spec.kind, given=name)
         yield Row(row, ms=ms, refused=not found.ok)
 
 
