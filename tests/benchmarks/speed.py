@@ -17,7 +17,7 @@ from shape_obs.configurations.centerline import Centerline
 from shape_obs.configurations.contour import Contour
 from shape_obs.configurations.surface import Surface
 from shape_obs.detector import ShapeDetector
-from shape_obs.geometry.polyline import arc_length, closed, even_around, even_points, nearest_on
+from shape_obs.geometry.polyline import arc_length, interpolate, nearest_on
 from shape_obs.image.segmentation import GrayRange
 from shape_obs.shape import Detection
 from tests.benchmarks.claim import Claim, Limit
@@ -62,11 +62,14 @@ def methods(task: Work, few: set[int]) -> Iterator[Method[Scene]]:
 
     def thinned(scene: Scene) -> Any:
         path = longest_path(np.asarray(skeletonize(scene.mask > 0)))
-        return even_points(path, arc_length(path), n, True)
+        arc = arc_length(path)
+        return interpolate(path, arc, (np.arange(n) + 0.5) / n * arc[-1])
 
     def traced(scene: Scene) -> Any:
-        outline = closed(outline_pixels(scene.mask))
-        return even_around(outline, arc_length(outline), 0.0, n)
+        outline = outline_pixels(scene.mask)
+        outline = np.concatenate([outline, outline[:1]])
+        arc = arc_length(outline)
+        return interpolate(outline, arc, np.arange(n) / n * arc[-1])
 
     yield Method(WARM, partial(detected, detector=warm))
     yield Method(COLD, partial(detected, detector=cold))
