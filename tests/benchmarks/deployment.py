@@ -23,9 +23,10 @@ from types import SimpleNamespace
 from typing import Any, Final
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from shape_obs.deploy import Interrupted, Limits, RunLog, Sway, deploy
-from shape_obs.geometry.polyline import catmull_rom, resample
+from shape_obs.geometry.polyline import arc_length
 from shape_obs.robot import ActionSpec
 from shape_obs.utils.timing import CLOCK
 from shape_obs.wrappers import ShapeObservation
@@ -80,8 +81,9 @@ def run(
             rows.append(Row(stale=True, mm=np.nan, slipped=False, wrong=False))
             return
         used.add(frame.number)
-        curve = catmull_rom(np.ascontiguousarray(robot.truth(frame.number), np.float64), 50, False)
-        truth = SimpleNamespace(truth=lambda n: resample(curve, n))
+        along = arc_length(points := np.ascontiguousarray(robot.truth(frame.number), np.float64))
+        curve = CubicSpline(along, points)
+        truth = SimpleNamespace(truth=lambda n: np.asarray(curve(np.linspace(0, along[-1], n))))
         found = simulator_score(frame.camera.to_base(shape.points3d), shape.valid, shape.layout, truth)
         mm, slipped = 1e3 * float(found.errors[shape.valid].mean()), found.slip > SLIP or found.flipped
         rows.append(Row(stale=False, mm=mm, slipped=slipped, wrong=slipped or mm > _WRONG))
