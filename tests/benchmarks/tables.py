@@ -24,21 +24,6 @@ class Row(dict[str, Any]):
 Column = Callable[[list[Row]], Any]
 
 
-def at_least(what: str, target: float, seen: float | None, unit: str = "x") -> Row:
-    """Return a row for a figure that must reach its target; ``seen`` is None if it was not measured."""
-    return _compared(what, f">= {target:g}{unit}", seen, seen is not None and seen >= target)
-
-
-def at_most(what: str, target: float, seen: float | None, unit: str = "x") -> Row:
-    """Return a row for a figure that must not exceed its target; ``seen`` is None if it was not measured."""
-    return _compared(what, f"<= {target:g}{unit}", seen, seen is not None and seen <= target)
-
-
-def _compared(what: str, target: str, seen: float | None, reached: bool) -> Row:
-    answer = "not measured" if seen is None else "yes" if reached else "no"
-    return Row(what=what, asked=target, seen=None if seen is None else float(seen), reached=answer)
-
-
 def summary(rows: Iterable[Row], by: Sequence[str], columns: Mapping[str, Column]) -> list[Row]:
     """Return a row for each group of rows, in the order in which the groups first appear.
 
