@@ -268,7 +268,7 @@ CLAIMS: Final = (
             Limit("times one rope", at_most=1.5, unit="x", where={"scene": "three ropes apart"},
                   known="about twice as long"),
             Limit("times one rope", at_most=1.5, unit="x", where={"scene": "three ropes that cross"},
-                  known="nearly nine times as long"),
+                  known="about 18 times as long"),
         ),
     ),
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Calibration and printed sheets, against true cameras, poses and sizes; `shape-obs bench claims --only markers`."""
+"""Calibration and printed sheets, against true cameras, poses and sizes; `python -m tests.benchmarks calibration`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Clicks on drawn photos whose masks are known become segmentations; more with `bench claims --only clicks`."""
+"""Clicks on drawn photos whose masks are known become segmentations; more with `python -m tests.benchmarks clicks`."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def test_two_ropes_under_something_wide_are_not_joined_into_one():
 
 
 def test_ropes_of_scenes_are_found_as_they_run():
-    """Run a sample of the measurement `shape-obs bench claims --only several`."""
+    """Run a sample of the measurement `python -m tests.benchmarks several`."""
     right = total = wrong = 0
     detector = ShapeDetector([Centerline(n=160, count="all", ends="tips")])
     for seed in range(8):
