@@ -13,8 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from fuzzing.recordings import damaged_recordings, record_some
-from fuzzing.tables import a_table, flipped_tables, same
+from fuzzing.recordings import a_table, damaged_recordings, flipped_tables, record_some, same
 
 from shape_obs.ablation import load_study
 from shape_obs.ablation.executors import Outcome, Task

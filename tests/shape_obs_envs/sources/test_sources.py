@@ -30,10 +30,11 @@ class Clock(gym.Env):
     metadata = {"render_fps": 20}  # noqa: RUF012
     action_space = spaces.Box(0.5, 1.0, (2,), np.float32)
 
-    def __init__(self, depth="uint16", stamped=False):
-        images: dict[str, Any] = {"rgb": spaces.Box(0, 255, (24, 32, 3), np.uint8)}
-        if depth:
-            images["depth"] = spaces.Box(0, 9, (24, 32), np.dtype(depth).type)
+    def __init__(self, stamped=False):
+        images = {
+            "rgb": spaces.Box(0, 255, (24, 32, 3), np.uint8),
+            "depth": spaces.Box(0, 9, (24, 32), np.uint16),
+        }
         self.observation_space = spaces.Dict(images)
         self.count, self.stamped, self.actions, self.seeds = 0, stamped, [], []
         self.buffers = {key: np.zeros(space.shape, space.dtype) for key, space in images.items()}

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from fuzzing.mutations import mutate, mutate_bytes
-from fuzzing.outcomes import Outcome, Outcomes
+from fuzzing.damage import Outcome, Outcomes, mutate, mutate_bytes
 from shape_obs.ablation import load_study
 from shape_obs.calibration.intrinsics import IntrinsicsFit
 from shape_obs.calibration.touch_points import read_touches

@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 import yaml
 
-from fuzzing.mutations import flip, mutate, mutate_bytes
+from fuzzing.damage import flip, mutate, mutate_bytes
 from shape_obs.deploy.policy_bundle.archive import CONFIG, ENV, FORMAT, RECORD, STATISTICS, VERSION, WEIGHTS
 
 #: The module of the canary, and the environment variable with the path of the file that its code makes.

@@ -1,12 +1,22 @@
-"""Damage values and bytes at random, as a broken disk, another program or an attacker may leave them in a file."""
+"""Damage values and bytes at random, as a broken disk, another program or an attacker may leave them in a file.
+
+What becomes of damaged files is counted: refused with a declared error, read, or neither.
+"""
 
 from __future__ import annotations
 
 import copy
-from typing import Any, Final
+import logging
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, Final, Literal
 
 import numpy as np
 
+Outcome = Literal["refused", "read", "undeclared", "wrong"]
+
+_LOG: Final = logging.getLogger(__name__)
 #: Values that a document may hold instead of the right one.
 _HOSTILE: Final[tuple[Any, ...]] = (
     None, True, False, 0, -1, 1, 2**31, 2**63, -(2**70), 10**400, 0.5, 1e-320, 1e308, float("inf"), float("-inf"),
@@ -81,3 +91,38 @@ def _nested(value: Any, levels: int) -> Any:
     for _ in range(levels):
         value = [value]
     return value
+
+
+class Outcomes:
+    """Counts outcomes; every one that must not be is logged as a warning.
+
+    Args:
+        declared: The errors that may come out.
+    """
+
+    def __init__(self, *declared: type[Exception]) -> None:
+        self.counts: Counter[Outcome] = Counter()
+        self._declared = declared
+
+    def try_out(self, name: str, read: Callable[[], Any], right: Callable[[Any], bool] = lambda value: True) -> None:
+        """Read something and count what comes out.
+
+        Args:
+            name: For the log.
+            read: Reads it.
+            right: Whether what was read is what was written.
+        """
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)
+                value = read()
+        except self._declared:
+            self.counts["refused"] += 1
+        except Exception as error:  # noqa: BLE001 - undeclared exceptions are what is looked for
+            self.counts["undeclared"] += 1
+            _LOG.warning("%s: undeclared %r", name, error, exc_info=True)
+        else:
+            good = right(value)
+            self.counts["read" if good else "wrong"] += 1
+            if not good:
+                _LOG.warning("%s: read as something else", name)
