@@ -203,10 +203,7 @@ def test_a_gripper_that_pulls_at_a_jammed_rope_stops():
     assert jammed > 0
 
 
-# ---- arguments
-
-
-# ---- goals in the wrappers: of all ropes, of one, and what the servo does with them
+# ---- goals in the wrappers: of all ropes, and of one
 
 GOALS = ("achieved_goal", "desired_goal")
 # Two ropes at a size at which every rope is found in each of these frames.
