@@ -13,6 +13,7 @@ import pytest
 from env_checks import check_both
 from goal_envs import RED, FlatGoalEnv
 from gymnasium import spaces
+from gymnasium.utils.env_checker import check_env
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rope_env import BLUE, INTRINSICS, PixelEnv, RopeEnv, run, walk, wrapped
@@ -158,7 +159,7 @@ class TestCamera:
 def test_corners_stay_on_the_material_while_a_sheet_turns_half_round():
     shapes = [{"kind": "surface", "rows": 3, "cols": 5, "ends": "tips"}, {"kind": "contour", "n": 16}]
     env = ShapeObservation(FlatGoalEnv("surface", tilt=0, goals=False), shapes, RED, ["points3d", "valid"])
-    check_both(env)
+    check_env(env, skip_render_check=True)
     observation, _ = env.reset(seed=3)
     assert observation.shape == (4 * (15 + 16),)
     inner: Any = env.unwrapped
@@ -168,7 +169,7 @@ def test_corners_stay_on_the_material_while_a_sheet_turns_half_round():
         assert [info[f"shape/{name}ok"] for name in ("", "surface/", "contour/")] == [True] * 3
         assert env.detection is not None
         corners = inner.camera_model.project_from_base(inner.material(inner.state(), [0, 1, 1, 0], [0, 0, 1, 1]))
-        np.testing.assert_allclose(env.detection["surface"].pixels[[0, 4, 14, 10]], corners, atol=2.5)
+        np.testing.assert_allclose(env.detection["surface"].pixels[[0, 4, 14, 10]], corners, atol=1.5)
     assert inner.way == 1
 
 
