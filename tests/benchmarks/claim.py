@@ -64,8 +64,7 @@ class Limit:
         """
         wanted = {name: value if isinstance(value, tuple) else (value,) for name, value in self.where.items()}
         rows = [row for row in table if all(row[name] in values for name, values in wanted.items())]
-        values = [float(row[self.column]) for row in rows if row[self.column] is not None]
-        values = [value for value in values if value == value]
+        values = [float(value) for row in rows if (value := row[self.column]) is not None and value == value]
         below, bound = self.at_most is not None, self.at_least if self.at_most is None else self.at_most
         if share < 1 and self.sampled is not None:
             bound = self.sampled

@@ -88,8 +88,7 @@ def run(
         mm, slipped = 1e3 * float(found.errors[shape.valid].mean()), found.slip > SLIP or found.flipped
         rows.append(Row(stale=False, mm=mm, slipped=slipped, wrong=slipped or mm > _WRONG))
 
-    options: dict[str, Any] = {"source": "robot", "robot": robot, "rate": _RATE, "disable_env_checker": True}
-    env = gym.make("shape_obs_envs:ShapeObs/D455-v0", **options)
+    env = gym.make("shape_obs_envs:ShapeObs/D455-v0", source="robot", robot=robot, rate=_RATE, disable_env_checker=True)
     # A hand may stay for a second, after which the run has to continue.
     report = deploy(ShapeObservation(env), Sway(share=0.25), Limits(hold=5.0), seconds=seconds, on_step=step)
     return report, rows, robot
