@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
-
 import numpy as np
 import pytest
 
@@ -52,10 +50,3 @@ def test_a_function_without_signature_is_not_for_python():
     with pytest.raises(TypeError, match="give it a signature"):
         scaled(2.0)
     assert scaled.py_func(2.0) == 6  # pyright: ignore[reportFunctionMemberAccess]
-
-
-@pytest.mark.parametrize("function", [scaled, total])
-def test_functions_are_pickled_by_name(function):
-    data = pickle.dumps(function)
-    assert len(data) < 200
-    assert function.py_func.__name__.encode() in data

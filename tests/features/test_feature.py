@@ -174,14 +174,6 @@ class TestVector:
         assert (values <= vector.high).all()
 
 
-def test_one_feature_stands_for_a_list_of_it():
-    assert read_features("ok") == read_features({"kind": "ok"}) == read_features(["ok"]) == [Ok()]
-    with pytest.raises(ValueError, match="unknown kind 'okay'; did you mean 'ok'"):
-        read_features(["okay"])
-    with pytest.raises(ValueError, match="expected a mapping or a Feature, got 3"):
-        read_features(3)  # type: ignore[arg-type]
-
-
 FLAT = FeatureContext(320, 240)
 SCENE = (
     Crossing(("a", "a"), (0.125, 0.5), (10.0, 20.0), 1, 1),
