@@ -257,6 +257,7 @@ AT_THE_EDGE[200:212, :200] = 255
     [
         (None, [AT_THE_EDGE] * 4),  # nothing lies beyond the edge
         (None, [rope(), rope(), rope(), shifted(rope(), 5, 0)]),  # it begins to move
+        (None, [shifted(rope(), 0, by) for by in (0, 7, 20, 38)]),  # it moves faster and faster
         (2, [rope((400, 60), 180) | rope((40, 380), 180)] * 4),  # one window around both
     ],
 )
