@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from shape_obs import Centerline, HSVRange, ShapeDetector
 from shape_obs.bench.scenes import draw_rope, resample
-from tests.benchmarks.scenes.ropes import KINDS, random_rope
+from tests.scenes.ropes import KINDS, random_rope
 
 BLUE = HSVRange((100, 100, 60), (125, 255, 255))
 

@@ -8,8 +8,8 @@ from numba.core import event
 
 from shape_obs import Centerline, Contour, GrayRange, Intrinsics, ShapeDetector, Surface
 from shape_obs.frame import Frame, readable_depth
-from tests.benchmarks.scenes.ropes import random_rope
-from tests.benchmarks.scenes.sheets import random_sheet
+from tests.scenes.ropes import random_rope
+from tests.scenes.sheets import random_sheet
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
 LAYOUTS = {

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tests.benchmarks.rope_scores import judge, seen_axis
-from tests.benchmarks.scenes.layouts import intersections
 from tests.benchmarks.scenes.moving_ropes import MOTIONS, moving_ropes
 from tests.benchmarks.scenes.several_ropes import noisy_depth, several_ropes
+from tests.scenes.layouts import intersections
 
 
 @pytest.mark.parametrize(("count", "crossings", "leaving"), [(2, 0, 0.0), (3, 5, 0.0), (5, 6, 1.0)])

@@ -23,11 +23,11 @@ from shape_obs.metrics import in_order, spacing_cv
 from shape_obs.shape import Shape
 from tests.benchmarks import followed
 from tests.benchmarks.claim import Claim, Effort, Limit
-from tests.benchmarks.scenes import clouds
-from tests.benchmarks.scenes.images import CAMERA, tilted_rope, tilted_sheet
-from tests.benchmarks.scenes.ropes import KINDS
 from tests.benchmarks.scores import score, tally
 from tests.benchmarks.tables import Row, failures, mean, median, of, total, worst
+from tests.scenes import clouds
+from tests.scenes.images import CAMERA, tilted_rope, tilted_sheet
+from tests.scenes.ropes import KINDS
 
 Array = npt.NDArray[np.float64]
 COUNTS: Final = (8, 20, 50)

@@ -14,10 +14,10 @@ from shape_obs.configurations.centerline import Centerline
 from shape_obs.detector import ShapeDetector
 from shape_obs.geometry.polyline import resample
 from tests.benchmarks.claim import Claim, Effort, Limit
-from tests.benchmarks.scenes.hidden_ropes import Cover, Seen, camera_of, d455, hidden_ropes, see
 from tests.benchmarks.scenes.swings import STIFFNESS, swung_rope
 from tests.benchmarks.scores import VISIBLE, claimed, visible_row
 from tests.benchmarks.tables import Row
+from tests.scenes.hidden_ropes import Cover, Seen, camera_of, d455, hidden_ropes, see
 
 Array = npt.NDArray[np.float64]
 Size = tuple[int, int]

@@ -17,10 +17,10 @@ from shape_obs.geometry.outline import clockwise
 from shape_obs.geometry.polyline import arc_length
 from tests.benchmarks import cold, followed
 from tests.benchmarks.claim import Claim, Effort, Limit
-from tests.benchmarks.scenes.blobs import KINDS, Garment, garments, random_blob
-from tests.benchmarks.scenes.flat_objects import FlatScene, Hand, Motion, View, in_space, noisy_depth, ring, under_hand
 from tests.benchmarks.scores import HAND_LIMITS, VISIBLE, VISIBLE_LIMITS, claimed, outline_score, tally, visible_row
 from tests.benchmarks.tables import Column, Row, failures, mean, median, of, total, worst
+from tests.scenes.blobs import KINDS, Garment, garments, random_blob
+from tests.scenes.flat_objects import FlatScene, Hand, Motion, View, in_space, noisy_depth, ring, under_hand
 
 COUNTS: Final = (16, 32, 64)
 Objects = Mapping[str, Callable[[np.random.Generator, int], npt.NDArray[np.float64]]]

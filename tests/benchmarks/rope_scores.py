@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from shape_obs.bench.scenes import resample
 from shape_obs.compiled import compiled
-from tests.benchmarks.scenes.layouts import longest_run
-from tests.benchmarks.scenes.ropes import Curve
 from tests.benchmarks.scenes.several_ropes import RopeScene
-from tests.benchmarks.scenes.tangles import Tangle
+from tests.scenes.layouts import longest_run
+from tests.scenes.ropes import Curve
+from tests.scenes.tangles import Tangle
 
 # In widths: the largest distance of a right curve from its rope's axis where that is in sight, and where it is hidden;
 # the largest distance of its tips from those of its rope.

@@ -29,14 +29,14 @@ from shape_obs.initialization.medial_axis import medial_axis
 from tests.benchmarks import Mask, at_rest, cold, followed
 from tests.benchmarks.claim import Claim, Effort, Limit
 from tests.benchmarks.rope_scores import is_traversed
-from tests.benchmarks.scenes.blobs import KINDS as BLOBS
-from tests.benchmarks.scenes.blobs import random_blob
-from tests.benchmarks.scenes.images import ragged, salted
-from tests.benchmarks.scenes.ropes import KINDS, bend_radius, random_rope
-from tests.benchmarks.scenes.sheets import noisy, random_sheet
-from tests.benchmarks.scenes.tangles import Tangle, crossing_rope, cut_rope, touching_rope
 from tests.benchmarks.scores import ASPECTS, BOTH_ENDS, score, tally
 from tests.benchmarks.tables import Row, failures, mean, median, of, percent, total, worst
+from tests.scenes.blobs import KINDS as BLOBS
+from tests.scenes.blobs import random_blob
+from tests.scenes.images import ragged, salted
+from tests.scenes.ropes import KINDS, bend_radius, random_rope
+from tests.scenes.sheets import noisy, random_sheet
+from tests.scenes.tangles import Tangle, crossing_rope, cut_rope, touching_rope
 
 COUNTS: Final = (8, 20, 50, 100)
 _N: Final = 20  # points of a tracked rope

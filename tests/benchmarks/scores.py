@@ -20,8 +20,8 @@ from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 from shape_obs.metrics import in_order, spacing_cv
 from shape_obs.shape import Shape
 from tests.benchmarks.claim import Limit
-from tests.benchmarks.scenes.sheets import true_lattice
 from tests.benchmarks.tables import Column, Row, of, percent, total, worst
+from tests.scenes.sheets import true_lattice
 
 Array = npt.NDArray[np.float64]
 

@@ -15,8 +15,6 @@ from shape_obs.detector import ShapeDetector
 from tests.benchmarks import cold, followed
 from tests.benchmarks.claim import Claim, Effort, Limit
 from tests.benchmarks.outlines import VIEWS, Objects, hands, hidden_row, swings
-from tests.benchmarks.scenes.flat_objects import FlatScene, Hand, Motion, View, cloth
-from tests.benchmarks.scenes.sheets import random_sheet, true_lattice, turning_sheet
 from tests.benchmarks.scores import (
     ASPECTS,
     BOTH_ENDS,
@@ -32,6 +30,8 @@ from tests.benchmarks.scores import (
     tally,
 )
 from tests.benchmarks.tables import Row, failures, mean, of, total, worst
+from tests.scenes.flat_objects import FlatScene, Hand, Motion, View, cloth
+from tests.scenes.sheets import random_sheet, true_lattice, turning_sheet
 
 LATTICES: Final = ((4, 8), (2, 2), (3, 3), (8, 8), (6, 10))
 _SPEC: Final = Surface(rows=4, cols=8)  # of tracked cloths

@@ -18,9 +18,9 @@ from tests.benchmarks.claim import Claim, Effort, Limit
 from tests.benchmarks.envs import Setting, episodes
 from tests.benchmarks.hidden import COVERS, covered_rope, swinging_rope
 from tests.benchmarks.outlines import VIEWS, seen_outline
-from tests.benchmarks.scenes.flat_objects import Hand, Motion, cloth, in_space, noisy_depth, ring, under_hand
 from tests.benchmarks.sheets import seen_points
 from tests.benchmarks.tables import Column, Row
+from tests.scenes.flat_objects import Hand, Motion, cloth, in_space, noisy_depth, ring, under_hand
 
 Track = tuple[str, bool, Iterable[Row]]  # its kind, whether there is depth, and the rows of ``scores.claimed``
 #: Radius within which 90 % of normally distributed errors lie, in standard deviations per axis: by the dimension.

@@ -20,11 +20,11 @@ from shape_obs.clustering.kohonen import Kohonen
 from shape_obs.geometry.observed import Samples
 from shape_obs.geometry.topology import Chain
 from shape_obs.metrics import calinski_harabasz, distance, nearest, spacing_cv
-from tests.benchmarks.scenes.blobs import random_blob
-from tests.benchmarks.scenes.clouds import ring_cloud, rope_cloud, sheet_cloud
-from tests.benchmarks.scenes.ropes import random_rope
-from tests.benchmarks.scenes.sheets import random_sheet
 from tests.benchmarks.scores import outline_score, score, score_sheet
+from tests.scenes.blobs import random_blob
+from tests.scenes.clouds import ring_cloud, rope_cloud, sheet_cloud
+from tests.scenes.ropes import random_rope
+from tests.scenes.sheets import random_sheet
 
 NAMES = ("kmeans", "gmm", "fcm", "kohonen")
 ALL: tuple[Clusterer, ...] = (KMeans(), GaussianMixture(), FuzzyCMeans(), Kohonen())

@@ -7,8 +7,8 @@ import pytest
 
 from shape_obs import Centerline, ShapeDetector
 from shape_obs.bench.scenes import moving_rope
-from tests.benchmarks.scenes.ropes import random_rope
 from tests.benchmarks.scores import score
+from tests.scenes.ropes import random_rope
 
 
 def test_a_frame_that_shows_far_more_than_the_rope_is_refused_and_the_rope_found_again():

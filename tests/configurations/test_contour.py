@@ -15,9 +15,9 @@ from shape_obs.bench.scenes import draw_blob
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.outline import Outline, clockwise
 from tests.benchmarks.outlines import seen_outline
-from tests.benchmarks.scenes.blobs import KINDS, random_blob
-from tests.benchmarks.scenes.flat_objects import View, in_space, noisy_depth, ring
 from tests.benchmarks.scores import outline_score, tally_visible
+from tests.scenes.blobs import KINDS, random_blob
+from tests.scenes.flat_objects import View, in_space, noisy_depth, ring
 
 
 def one(mask: np.ndarray, detector: ShapeDetector | None = None, **kwargs: Any) -> Any:

@@ -12,7 +12,7 @@ import pytest
 from shape_obs import Centerline, Configuration, Contour, ShapeDetector, Surface
 from shape_obs.bench.scenes import moving_blob, moving_rope
 from shape_obs.geometry.curve import FittedCurve
-from tests.benchmarks.scenes.sheets import true_lattice, turning_sheet
+from tests.scenes.sheets import true_lattice, turning_sheet
 
 
 class Frame(NamedTuple):

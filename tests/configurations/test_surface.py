@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from shape_obs import Intrinsics, ShapeDetector, Surface
 from shape_obs.bench.scenes import Sheet, draw_sheet
 from shape_obs.metrics import calinski_harabasz, nearest
-from tests.benchmarks.scenes.sheets import random_sheet, rotation, true_lattice
 from tests.benchmarks.scores import ASPECTS, best_corner, by_the_rule
+from tests.scenes.sheets import random_sheet, rotation, true_lattice
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "real"
 

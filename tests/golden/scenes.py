@@ -16,8 +16,8 @@ from scipy.interpolate import LinearNDInterpolator
 
 from shape_obs import CameraModel, Intrinsics
 from shape_obs.bench.scenes import draw_blob, draw_sheet
-from tests.benchmarks.scenes.hidden_ropes import see
 from tests.golden.streams import Stream, Truth
+from tests.scenes.hidden_ropes import see
 
 Array = npt.NDArray[Any]
 Triple = tuple[float, float, float]

@@ -15,7 +15,7 @@ from shape_obs.image.colour_search import table_mask
 from shape_obs.image.find_region import find_region, segment
 from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import colour_table
-from tests.benchmarks.scenes.ropes import KINDS, random_rope
+from tests.scenes.ropes import KINDS, random_rope
 
 BLUE = HSVRange((100, 120, 60), (125, 255, 255))
 

@@ -13,7 +13,7 @@ from shape_obs import Centerline, Shape, ShapeDetector
 from shape_obs.bench.scenes import draw_rope, resample
 from shape_obs.initialization.folding import fold_outline
 from tests.benchmarks.rope_scores import is_traversed
-from tests.benchmarks.scenes.tangles import crossing_rope, cut_rope, touching_rope
+from tests.scenes.tangles import crossing_rope, cut_rope, touching_rope
 
 TANGLES = {
     "1 crossing": partial(crossing_rope, crossings=1),

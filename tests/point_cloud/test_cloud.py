@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 
 from shape_obs import CameraModel, Centerline, Contour, Intrinsics, ShapeDetector, Surface
 from shape_obs.metrics import distance, spacing_cv
-from tests.benchmarks.scenes.clouds import SheetCloud, ring_cloud, rope_cloud, sheet_cloud
+from tests.scenes.clouds import SheetCloud, ring_cloud, rope_cloud, sheet_cloud
 
 TIPS = Centerline(ends="tips")
 

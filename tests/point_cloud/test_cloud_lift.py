@@ -10,8 +10,8 @@ from shape_obs.geometry.polyline import resample
 from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
 from shape_obs.point_cloud.deprojection import deproject
-from tests.benchmarks.scenes.images import CAMERA, tilted_rope
-from tests.benchmarks.scenes.tangles import crossing_rope
+from tests.scenes.images import CAMERA, tilted_rope
+from tests.scenes.tangles import crossing_rope
 
 
 class TestUnderAMask:

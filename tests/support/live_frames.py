@@ -22,13 +22,13 @@ from shape_obs.compiled import decorator
 from shape_obs.configurations.shape_points import SHAPE_FUNCTIONS
 from shape_obs.image.find_region import prepare
 from shape_obs.tracking.prediction import TRACK_FUNCTIONS
-from tests.benchmarks.scenes.blobs import random_blob
-from tests.benchmarks.scenes.clouds import moving_rope_cloud, ring_cloud, rope_cloud, sheet_cloud
-from tests.benchmarks.scenes.flat_objects import View, cloth, ring, under_hand
-from tests.benchmarks.scenes.hidden_ropes import hidden_rope
-from tests.benchmarks.scenes.ropes import random_rope
-from tests.benchmarks.scenes.sheets import random_sheet
-from tests.benchmarks.scenes.tangles import crossing_rope, cut_rope
+from tests.scenes.blobs import random_blob
+from tests.scenes.clouds import moving_rope_cloud, ring_cloud, rope_cloud, sheet_cloud
+from tests.scenes.flat_objects import View, cloth, ring, under_hand
+from tests.scenes.hidden_ropes import hidden_rope
+from tests.scenes.ropes import random_rope
+from tests.scenes.sheets import random_sheet
+from tests.scenes.tangles import crossing_rope, cut_rope
 
 BLUE = HSVRange(low=(100, 80, 25), high=(130, 255, 255))
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)

@@ -13,7 +13,7 @@ from shape_obs import Centerline, Intrinsics, ShapeDetector
 from shape_obs.bench.scenes import resample
 from shape_obs.geometry.topology import Chain, Grid, Ring
 from shape_obs.tracking.belief import MAX_SIGMA, expected_error, shortest_ways, stereo_noise
-from tests.benchmarks.scenes.ropes import random_rope
+from tests.scenes.ropes import random_rope
 
 
 @pytest.mark.parametrize("layout", [Chain(1), Chain(2), Chain(40), Ring(3), Ring(41), Grid(5, 8)], ids=repr)

@@ -11,12 +11,12 @@ import pytest
 from shape_obs import Contour, Intrinsics, ShapeDetector, Surface
 from shape_obs.bench.scenes import draw_blob, moving_blob, moving_sheet
 from tests.benchmarks.outlines import MOTIONS, seen_outline
-from tests.benchmarks.scenes.blobs import random_blob
-from tests.benchmarks.scenes.flat_objects import View, cloth, in_space, ring, under_hand
-from tests.benchmarks.scenes.images import CAMERA, tilted_sheet
-from tests.benchmarks.scenes.sheets import true_lattice
 from tests.benchmarks.scores import tally_visible
 from tests.benchmarks.sheets import seen_points
+from tests.scenes.blobs import random_blob
+from tests.scenes.flat_objects import View, cloth, in_space, ring, under_hand
+from tests.scenes.images import CAMERA, tilted_sheet
+from tests.scenes.sheets import true_lattice
 
 
 @pytest.mark.parametrize("radius", [12, 30])

@@ -11,7 +11,7 @@ import pytest
 
 from shape_obs import Centerline, Shape, ShapeDetector
 from shape_obs.geometry.polyline import resample
-from tests.benchmarks.scenes.hidden_ropes import Seen, camera_of, see
+from tests.scenes.hidden_ropes import Seen, camera_of, see
 
 N = 20
 CAMERA = camera_of((480, 640))

@@ -16,7 +16,7 @@ from shape_obs.tracking.occlusion import match_chain
 from shape_obs.tracking.predicted_rope import PredictedRope
 from shape_obs.tracking.prediction import Prediction
 from tests.benchmarks.hidden import track
-from tests.benchmarks.scenes.hidden_ropes import hidden_rope, hidden_ropes
+from tests.scenes.hidden_ropes import hidden_rope, hidden_ropes
 
 CAMERA = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
 TABLE, ROPE, HAND = 0.6, 0.585, 0.5

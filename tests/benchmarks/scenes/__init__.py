@@ -1,1 +1,1 @@
-"""Generate scenes with known truth; tests and measurements share them."""
+"""Draw photos, motions and tables with known truth."""

@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench.scenes import SIZE, draw_rope, from_heading, resample, rotation
-from tests.benchmarks.scenes.layouts import Table, lay_ropes
 from tests.benchmarks.scenes.relief import relief, unit
-from tests.benchmarks.scenes.ropes import Curve, headings, normals
 from tests.benchmarks.scenes.several_ropes import on_a_table
+from tests.scenes.layouts import Table, lay_ropes
+from tests.scenes.ropes import Curve, headings, normals
 
 Array = npt.NDArray[np.float64]
 Motion = Literal["crossing", "touching", "slow hand", "fast hand", "leaving"]

@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench.scenes import SIZE
-from tests.benchmarks.scenes.layouts import Table, lay_ropes
 from tests.benchmarks.scenes.relief import Array, Field, Relief, Size, grain, photographed, relief, unit
-from tests.benchmarks.scenes.ropes import normals
 from tests.benchmarks.scenes.several_ropes import lifts
+from tests.scenes.layouts import Table, lay_ropes
+from tests.scenes.ropes import normals
 
 Kind = Literal["rope", "wire", "harness", "cloth", "ring"]
 Ground = Literal["plain", "cloth", "wood", "concrete", "checks", "clutter"]

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench.scenes import resample
-from tests.benchmarks.scenes.hidden_ropes import draw_balls
-from tests.benchmarks.scenes.ropes import Curve
+from tests.scenes.hidden_ropes import draw_balls
+from tests.scenes.ropes import Curve
 
 Array = npt.NDArray[np.float64]
 Field = npt.NDArray[np.float32]

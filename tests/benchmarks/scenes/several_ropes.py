@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 
 from shape_obs.bench.scenes import SIZE
-from tests.benchmarks.scenes.layouts import Meeting, Table, lay_ropes
 from tests.benchmarks.scenes.relief import FINER, Array, Field, Image, Relief, grain, photographed, relief, unit
-from tests.benchmarks.scenes.ropes import Curve
+from tests.scenes.layouts import Meeting, Table, lay_ropes
+from tests.scenes.ropes import Curve
 
 _WIDTHS: Final = 8  # tried thicknesses until the generator gives up
 _RAMP: Final = 5.0  # length over which a rope comes down from a crossing to the table, in widths

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from shape_obs.bench.scenes import blank, covered, rotation, subpixel
 from shape_obs.camera import Intrinsics
-from tests.benchmarks.scenes.ropes import Kind, bend_radius, random_rope
+from tests.scenes.ropes import Kind, bend_radius, random_rope
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from shape_obs.bench.scenes import rotation
 from shape_obs.camera import Intrinsics
 from shape_obs.compiled import compiled
-from tests.benchmarks.scenes.hidden_ropes import d455
+from tests.scenes.hidden_ropes import d455
 
 Array = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
 from shape_obs.bench.scenes import from_heading
-from tests.benchmarks.scenes.ropes import Curve, headings
+from tests.scenes.ropes import Curve, headings
 
 _SCENES: Final = 15  # started scenes until the generator gives up
 _TRIES: Final = 8  # started ropes until the scene is started again

@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from shape_obs.bench.scenes import resample, times
-from tests.benchmarks.scenes.flat_objects import rolled
+from tests.scenes.flat_objects import rolled
 
 Array = npt.NDArray[np.float64]
 Side = Literal["all", "front"]

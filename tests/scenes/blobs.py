@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from shape_obs.bench.scenes import SIZE, Blob, draw_blob, random_waves, rotation, wavy_circle
 from shape_obs.utils.documents import read_json
-from tests.benchmarks.scenes.ropes import arcs, normals
+from tests.scenes.ropes import arcs, normals
 
 Array = npt.NDArray[np.float64]
 Kind = Literal["smooth", "c", "horseshoe", "star"]

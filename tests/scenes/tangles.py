@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench.scenes import SIZE, draw_rope, resample
-from tests.benchmarks.scenes.layouts import Table, is_tight, lay_ropes, meetings
-from tests.benchmarks.scenes.ropes import Curve, arcs, place
+from tests.scenes.layouts import Table, is_tight, lay_ropes, meetings
+from tests.scenes.ropes import Curve, arcs, place
 
 _TRIES: Final = 2000
 _APART: Final = 4.0  # widths from one crossing to the next
