@@ -10,8 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import bootstrap
-from sklearn.metrics import calinski_harabasz_score, pairwise_distances_argmin, silhouette_score
 
 from shape_obs import ShapeDetector
 from shape_obs.bench import table
@@ -51,23 +49,10 @@ def test_without_the_simulator_it_says_what_to_install(capsys, monkeypatch: pyte
     assert '".[sim]"' in out.splitlines()[-1]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["speed", "--frames", "0"], "--frames: expected at least 1, got 0"),
-        (["speed", "--sizes", "5x5"], "invalid choice"),
-        (["table", "--frames", "9"], "--frames: expected at least 10, got 9"),
-        (["tabel"], "unknown measurement 'tabel'; did you mean 'table'?"),
-    ],
-)
-def test_wrong_options_are_wrong_usage(capsys: pytest.CaptureFixture[str], arguments: list[str], message: str):
-    code, out, err = run(capsys, *arguments)
-    assert (code, out) == (2, "")
-    assert message in " ".join(err.split())
-
-
 @pytest.mark.parametrize("name", CONFIGURATIONS)
 def test_scores_are_those_of_scikit_learn_on_the_same_labels(name: str, monkeypatch: pytest.MonkeyPatch):
+    from sklearn.metrics import calinski_harabasz_score, pairwise_distances_argmin, silhouette_score
+
     monkeypatch.setattr(table, "_SAMPLED", None)
     spec, drawn = CONFIGURATIONS[name], list(pictures(name, 0, 2, seed=3))
     detector = ShapeDetector([spec])
@@ -112,6 +97,8 @@ def test_order_is_judged_by_the_truth():
 
 
 def test_means_and_intervals_are_those_of_the_episodes_and_the_ranking_is_compared_with_the_papers():
+    from scipy.stats import bootstrap
+
     rng, values = np.random.default_rng(0), dict(zip(LABELS, (0.4, 0.3, 0.2, 0.1, 0.5), strict=True))
     rows = [
         {"configuration": name, "method": method, "episode": episode, "ok": True, "pixels": 9, "cv": 0.1,

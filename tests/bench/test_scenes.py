@@ -1,4 +1,4 @@
-"""The truth of drawn scenes is true: points lie on the object and its depth, and hidden ones under the hand."""
+"""The truth of drawn scenes is true, on the object and under a hand, and the judge of several ropes misses no fault."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from shape_obs.bench.photos import BLUE, Hand, Scene, photograph, photographs
-from shape_obs.bench.scenes import draw_blob, draw_rope, draw_sheet, moving_blob, moving_rope, moving_sheet, truth_of
+from shape_obs.bench.photos import BLUE, Scene, photographs
+from shape_obs.bench.scenes import moving_blob, moving_rope, moving_sheet, truth_of
+from tests.benchmarks.rope_scores import judge, seen_axis
+from tests.benchmarks.scenes.several_ropes import several_ropes
 
 FRAMES = 24
 
@@ -28,20 +30,6 @@ def film(request: pytest.FixtureRequest) -> list[Scene]:
     if request.param != "ring":
         np.testing.assert_allclose(steps, 6.0, atol=1e-6)  # the speed of the fastest point
     return [*photographs(np.random.default_rng(1), drawn, hand=True, tilt=0.3)]
-
-
-def test_an_area_is_the_one_that_geometry_gives():
-    circle = 100 * np.stack([np.cos(a := np.linspace(0, 2 * np.pi, 721)[:-1]), np.sin(a)], axis=1) + (320.3, 240.1)
-    ring = draw_blob(circle, (circle - (320.3, 240.1)) / 2 + (320.3, 240.1))
-    assert np.count_nonzero(ring.mask) == pytest.approx(np.pi * (100**2 - 50**2), rel=1e-3)
-    for caps, area in ((True, 300 * 20.0), (False, 300 * 20.0 + np.pi * 10**2)):
-        straight = np.stack([np.arange(100.3, 401.0), np.full(301, 200.2)], axis=1)
-        rope = draw_rope(straight, 20.0, flat_caps=caps)
-        assert rope.length == pytest.approx(300 if caps else 320)
-        # the border of what OpenCV fills belongs to it, which adds up to a quarter of a pixel on each side
-        assert 0 <= np.count_nonzero(rope.mask) - area <= 0.5 * (300 + 20) * 2
-    lattice = np.stack(np.meshgrid(np.linspace(50.3, 250.3, 65), np.linspace(60.3, 160.3, 65)), axis=-1)
-    assert np.count_nonzero(draw_sheet(lattice).mask) == pytest.approx(200 * 100, rel=0.01)
 
 
 def test_visible_points_are_in_the_mask_and_hidden_ones_are_not(film: list[Scene]):
@@ -72,12 +60,39 @@ def test_the_measured_surface_is_that_of_the_points_in_space(film: list[Scene]):
         assert off.std() == pytest.approx(sigma, rel=0.2)
 
 
-def test_a_hand_covers_its_bar_and_lies_nearer_than_the_object():
-    rope = next(moving_rope(np.random.default_rng(0), 0.0, 1))
-    hand = Hand((320.0, 240.0), 0.0, 40.0)  # from the left to the middle
-    probes = np.array([[320.0, 240.0], [339.0, 240.0], [341.0, 240.0], [10.0, 259.0], [10.0, 261.0]])
-    assert hand.covers(probes).tolist() == [True, True, False, True, False]
-    scene = photograph(np.random.default_rng(1), rope, hand=hand, distance=0.7)
-    assert not scene.mask[240, :330].any()
-    near = scene.depth[230:250, 20:300]
-    assert np.median(near[near > 0]) == pytest.approx(640, abs=1)
+def faults(scene, true):
+    """Yield a name, found curves, and how many of them are wrong."""
+    for k, width in enumerate(scene.widths):
+        rest, one = true[:k] + true[k + 1 :], true[k]
+        along = np.gradient(one, axis=0)
+        yield "cut tip", [*rest, one[round(1.5 * width) :]], 1
+        yield "half", [*rest, one[: len(one) // 2]], 1
+        yield "beside", [*rest, one + 0.6 * width * np.stack([-along[:, 1], along[:, 0]], axis=1)], 1
+        yield "twice", [*true, one], 1
+        yield "no curve", [*rest, np.full((20, 2), np.nan)], 1
+    for crossing in scene.crossings:
+        i, j, place = crossing.first, crossing.second, crossing.place
+        one, other = true[i], true[j]
+        a, b = (int(np.argmin(np.linalg.norm(curve - place, axis=1))) for curve in (one, other))
+        rest = [curve for k, curve in enumerate(true) if k not in (i, j)]
+        if i != j:
+            yield "swapped", [*rest, np.concatenate([one[:a], other[b:]]), np.concatenate([other[:b], one[a:]])], 2
+        else:
+            a, b = np.flatnonzero(np.linalg.norm(one - place, axis=1) < 1.0)[[0, -1]]
+            yield "loop reversed", [*rest, np.concatenate([one[:a], one[a:b][::-1], one[b:]])], 1
+            yield "loop left out", [*rest, np.concatenate([one[:a], one[b:]])], 1
+
+
+def test_the_truth_is_right_in_either_direction_and_every_fault_is_noticed():
+    seen, rng = set(), np.random.default_rng(0)
+    for seed in range(6):
+        scene = several_ropes(np.random.default_rng(seed), 3, 5)
+        true = [seen_axis(curve, scene.mask.shape) for curve in scene.curves]
+        noisy = [(c + rng.uniform(-0.15, 0.15, c.shape) * w)[::6] for c, w in zip(true, scene.widths, strict=True)]
+        verdict = judge([curve[::-1] for curve in noisy][::-1], scene)
+        assert (verdict.right, verdict.wrong, verdict.owner) == ((True,) * 3, 0, (2, 1, 0))
+        for name, found, wrong in faults(scene, true):
+            verdict = judge(found, scene)
+            assert (verdict.wrong, sum(verdict.right)) == (wrong, len(found) - wrong), name
+            seen.add(name)
+    assert {"swapped", "loop reversed", "loop left out"} <= seen

@@ -199,14 +199,6 @@ def test_all_ropes_are_found_drawn_in_their_own_colours_with_their_crossing(thre
     assert np.allclose(ends[crossing["slots"][crossing["above"]]], sorted(ROPES[1]), atol=8)
 
 
-def test_a_count_leaves_out_what_has_no_slot(three, run):
-    code, out, _ = run("detect", three, *HSV, "--count", "2", "--n", "9")
-    result = json.loads(out)
-    assert code == 0
-    assert [len(shape["points2d"]) for shape in result["shapes"]] == [9, 9]
-    assert result["more"] == {"centerline": 1}
-
-
 def test_demo_runs_without_gl_and_writes_its_pictures(tmp_path, run):
     pytest.importorskip("mujoco")
     code, out, _ = run("demo", "--out", tmp_path, "--steps", 6, "--camera", "rl", "--renderer", "rays")

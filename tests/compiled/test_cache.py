@@ -139,23 +139,6 @@ def test_nothing_is_written_next_to_the_source(work):
     assert run(work, ALL, **home)[0] == "[] 6.0 12.0"
 
 
-@pytest.mark.nightly
-def test_a_full_disk_gives_one_warning_and_a_file_that_is_already_there_none(work):
-    full = """
-        import errno, shape_obs.compiled.cache as c
-        write = c._write
-        def fail(path, data):
-            if {there}: write(path, data)
-            raise OSError(errno.ENOSPC, "No space left on device", str(path))
-        c._write = fail
-    """
-    for there, warnings in ((True, 0), (False, 1)):
-        code = textwrap.dedent(full.format(there=there)) + ALL
-        out, err = run(work, code, NUMBA_CACHE_DIR=str(work / str(there)))
-        assert out == EVERYTHING
-        assert err.count("Compiled functions cannot be kept") == warnings
-
-
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_of_eight_forked_processes_one_compiles(work):
     code = f"""

@@ -1,4 +1,4 @@
-"""Tangents, bending, moments, length, centroid and orientation against closed forms."""
+"""Tangents, bending, moments, length, centroid and orientation: closed forms, bounds, and shapes with holes."""
 
 from __future__ import annotations
 
@@ -135,3 +135,24 @@ class TestClosedForms:
         np.testing.assert_allclose(principal, [np.cos(angle), np.sin(angle)], atol=1e-4)
         heading = turned(np.array([[0.2 * np.cos(start), 0.1 * np.sin(start)]]), angle)[0]
         np.testing.assert_allclose(Orientation().compute(ring, VIEW), heading / np.linalg.norm(heading), atol=1e-4)
+
+
+losses = st.sets(st.integers(0, 19), max_size=4)
+
+
+class TestUnknownPoints:
+    @given(losses)
+    def test_bends_are_those_of_the_known_points(self, lost):
+        for layout, arc, closed in ((Ring(20), 2 * np.pi, True), (Chain(20), 3.0, False)):
+            points = circle(20, arc=arc, closed=closed)
+            part = shape(points, layout, unknown=lost)
+            whole = shape(points, layout)
+            expected = TurningAngles().compute(whole, VIEW)
+            np.testing.assert_allclose(TurningAngles().compute(part, VIEW), expected, atol=1e-4)
+            np.testing.assert_allclose(Curvature().compute(part, VIEW), Curvature().compute(whole, VIEW), rtol=0.06)
+
+    @given(losses)
+    def test_length_is_that_of_equal_edges(self, lost):
+        for layout, points in ((Ring(20), circle(20)), (Chain(20), circle(20, arc=4, closed=False))):
+            whole = Length().compute(shape(points, layout), VIEW)
+            np.testing.assert_allclose(Length().compute(shape(points, layout, unknown=lost), VIEW), whole, rtol=1e-5)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import json
-import pickle
 
 import cv2
 import numpy as np
@@ -106,11 +104,6 @@ def test_all_ropes_are_returned_by_a_detector_alone():
 def test_bad_counts_are_refused(spec, message):
     with pytest.raises((ValueError, SpecError), match=message.replace("...", r"\.\.\.").replace("{", r"\{")):
         Centerline(**spec)
-
-
-def test_names_of_slots_are_unique():
-    with pytest.raises(SpecError, match="two are named 'centerline1'"):
-        ShapeDetector([Centerline(count=2), Centerline(name="centerline1")])
 
 
 def test_a_count_is_hashed_and_saved(tmp_path):
@@ -231,17 +224,6 @@ def test_a_rope_that_enters_takes_a_slot_that_was_never_used():
     detection = [detector.detect_mask(drawn(*ropes)) for ropes in frames][-1]
     for name, rope in (("centerline0", UP), ("centerline1", DOWN), ("centerline2", LEVEL)):
         np.testing.assert_allclose(detection[name].points2d[0], rope[0], atol=5)
-
-
-def test_copies_continue_alike():
-    detector = ShapeDetector([Centerline(count=2)])
-    detector.detect_mask(drawn(UP, DOWN))
-    later = drawn([(u + 2, v + 1) for u, v in UP], [(u - 2, v) for u, v in DOWN])
-    twins = copy.deepcopy(detector), pickle.loads(pickle.dumps(detector))
-    expected = detector.detect_mask(later)
-    for twin in twins:
-        for shape, other in zip(twin.detect_mask(later), expected, strict=True):
-            np.testing.assert_array_equal(shape.points2d, other.points2d)
 
 
 def test_a_cloud_is_of_one_object():

@@ -71,7 +71,6 @@ def turned(points: np.ndarray, angle: float) -> np.ndarray:
 
 bends = hnp.arrays(np.float64, 4, elements=st.floats(-1.2, 1.2))
 angles = st.floats(-np.pi, np.pi)
-shifts = hnp.arrays(np.float64, 2, elements=st.floats(-0.3, 0.3))
 
 
 def drawn(layout: Topology, bend: np.ndarray) -> np.ndarray:

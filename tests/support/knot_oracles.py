@@ -1,9 +1,8 @@
-"""Knots from closed polygons in space, by brute force: crossings, the Alexander determinant, the Kauffman bracket."""
+"""Knots from closed polygons in space, by brute force: crossings and the Alexander determinant."""
 
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -73,39 +72,3 @@ def determinant(curves: Sequence[Array]) -> int:
         row[cuts.index(c.under)] -= 1
         row[arc(c.under)] -= 1
     return abs(round(np.linalg.det(matrix[1:, 1:])))
-
-
-def bracket(curves: Sequence[Array]) -> dict[int, int]:
-    """Return the Jones polynomial in A, times -A^2 - A^-2, as the sum over all smoothings."""
-    crossings = crossings_in_space(curves, closed=True)
-    corners = []
-    order = sorted(end for c in crossings for end in (c.over, c.under))
-
-    def edges(at: tuple[int, float]) -> tuple[int, int]:
-        own = [n for n, end in enumerate(order) if end[0] == at[0]]
-        n = order.index(at)
-        return own[own.index(n) - 1], n  # the edge before the passage has the number of the passage before
-
-    for c in crossings:
-        (arrives, leaves), (below, beyond) = edges(c.over), edges(c.under)
-        joins = ((arrives, beyond), (below, leaves)), ((arrives, below), (beyond, leaves))
-        corners.append(joins if c.sign > 0 else joins[::-1])
-    sums: dict[int, int] = {}
-    free = sum(all(k != end[0] for end in order) for k in range(len(curves)))
-    for choice in itertools.product((0, 1), repeat=len(corners)):
-        parent = list(range(len(order)))
-
-        def find(n: int, parent: list[int] = parent) -> int:
-            while parent[n] != n:
-                n = parent[n]
-            return n
-
-        for corner, side in zip(corners, choice, strict=True):
-            for one, other in corner[side]:
-                parent[find(one)] = find(other)
-        loops = sum(parent[n] == n for n in range(len(order))) + free
-        for k in range(loops + 1):  # (-A^2 - A^-2) ** loops
-            power = len(corners) - 2 * sum(choice) + 2 * loops - 4 * k
-            sums[power] = sums.get(power, 0) + (-1) ** loops * math.comb(loops, k)
-    writhe = sum(c.sign for c in crossings)
-    return {p - 3 * writhe: (-1) ** writhe * x for p, x in sums.items() if x}

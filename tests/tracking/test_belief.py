@@ -6,29 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
 
 from shape_obs import Centerline, Intrinsics, ShapeDetector
 from shape_obs.bench.scenes import resample
-from shape_obs.geometry.topology import Chain, Grid, Ring
-from shape_obs.tracking.belief import MAX_SIGMA, expected_error, shortest_ways, stereo_noise
+from shape_obs.geometry.topology import Chain, Grid
+from shape_obs.tracking.belief import MAX_SIGMA, expected_error, stereo_noise
 from tests.scenes.ropes import random_rope
-
-
-@pytest.mark.parametrize("layout", [Chain(1), Chain(2), Chain(40), Ring(3), Ring(41), Grid(5, 8)], ids=repr)
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_the_way_to_the_nearest_known_point_is_the_shortest_along_the_layout(layout, dimension):
-    rng = np.random.default_rng(layout.size)
-    for share in (0.05, 0.3, 0.9):
-        points, known = rng.normal(size=(layout.size, dimension)), rng.random(layout.size) < share
-        known[rng.integers(layout.size)] = True
-        edges = layout.edges().astype(np.int32)  # as old versions of SciPy take them
-        length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
-        graph = coo_array((length, edges.T), shape=(layout.size, layout.size)).tocsr()
-        oracle = dijkstra(graph, directed=False, indices=np.flatnonzero(known).astype(np.int32), min_only=True)
-        np.testing.assert_allclose(shortest_ways(length, edges.astype(np.int64), known), oracle)
-
 
 CAMERA = Intrinsics(1280, 720, 636.0, 636.0, 639.5, 359.5)
 

@@ -5,9 +5,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.spatial import KDTree
 
 from shape_obs import Centerline, Contour, ShapeDetector
 from shape_obs.geometry.curve import FittedCurve
@@ -93,23 +90,6 @@ class TestSpread:
         assert 0.5 < expected < 0.8
         shape = ShapeDetector(Centerline(n=9)).detect_mask(mask).shapes[0]
         assert shape.quality == pytest.approx(expected, abs=0.04)
-
-    @settings(max_examples=20)
-    @given(seed=st.integers(0, 2**32 - 1), dimension=st.integers(2, 3))
-    def test_the_spread_is_the_distance_from_the_nearest_point_s_tangent(self, seed, dimension):
-        rng = np.random.default_rng(seed)
-        t = np.linspace(0, 3, 60)
-        curve = np.stack([40 * t, 20 * np.sin(t), 15 * np.cos(t)], axis=1)[:, :dimension]
-        points, weight = curve[rng.integers(0, 60, 140)] + rng.normal(0, 3, (140, dimension)), rng.uniform(1, 9, 140)
-        nearest = KDTree(curve).query(points)[1]
-        tangent = np.gradient(curve, axis=0)[nearest]
-        reach = np.linalg.norm(tangent, axis=1)
-        offset = points - curve[nearest]
-        along = np.clip(np.sum(offset * tangent, axis=1) / reach, -reach, reach)
-        square = np.sum((offset - (along / reach)[:, None] * tangent) ** 2, axis=1)
-        assert sample_spread(points, weight, np.ascontiguousarray(curve)) == pytest.approx(
-            np.average(square, weights=weight)
-        )
 
     def test_the_detector_refuses_a_rope_with_a_thick_end(self):
         """The mask is a lollipop: every part of its curve lies on the mask, and it does not branch."""

@@ -13,7 +13,7 @@ import pytest
 from installed import needs
 from tuner_page import ARGUMENTS, chromium, serving
 
-from shape_obs import load_config, save_config
+from shape_obs import load_config
 from shape_obs.bench.scenes import draw_rope
 from shape_obs.cli import main
 
@@ -48,19 +48,6 @@ def drawn(tmp_path) -> Path:
     noisy = np.clip(rgb + np.random.default_rng(0).normal(0, 4, rgb.shape), 0, 255).astype(np.uint8)
     cv2.imwrite(str(tmp_path / "rope.png"), cv2.cvtColor(noisy, cv2.COLOR_RGB2BGR))
     return tmp_path / "rope.png"
-
-
-@pytest.fixture
-def photos(tmp_path, drawn) -> Path:
-    """Return a folder of forty photos in which the rope moves, and a config for it next to it."""
-    folder = tmp_path / "photos"
-    folder.mkdir()
-    photo = cv2.imread(str(drawn))
-    assert photo is not None
-    for i in range(40):
-        cv2.imwrite(str(folder / f"{i}.jpg"), np.roll(photo, 2 * i, axis=0))
-    save_config(tmp_path / "blue.yaml", {"segmentation": BLUE})
-    return folder
 
 
 def expect(locator):
@@ -156,22 +143,6 @@ def test_a_phone_and_a_laptop_show_the_same_within_their_width(browser, drawn, t
         expect(laptop.locator(".nicegui-scene canvas")).to_be_visible(timeout=PATIENCE)
         laptop.get_by_role("tab", name="Points").click()
         expect(laptop.locator(".points tbody tr").first).to_contain_text("0.600", timeout=PATIENCE)
-
-
-@pytest.mark.nightly
-def test_a_recording_ends_and_is_scrubbed(browser, photos, tmp_path):
-    with serving(photos, "--config", tmp_path / "blue.yaml") as served:
-        page = opened(browser, served.url)
-        expect_text(page, ".q-badge", "ended")
-        expect_text(page, ".found", "20 points")
-        page.locator(".scrub").click(position={"x": 2, "y": 10})
-        expect_text(page, ".q-badge", "paused")
-        expect(page.get_by_text("1 / 40")).to_be_visible(timeout=PATIENCE)
-        page.get_by_role("button", name="Step").click()
-        expect(page.get_by_text("2 / 40")).to_be_visible(timeout=PATIENCE)
-        page.get_by_role("button", name="Play").click()
-        expect_text(page, ".q-badge", "playing")
-        expect_text(page, ".q-badge", "ended")
 
 
 def test_a_camera_that_is_unplugged_and_a_page_that_is_closed(browser, tmp_path):

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import dataclass
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -13,8 +11,6 @@ import pytest
 
 from shape_obs import Frame, ShapeDetector, load_config, save_config
 from shape_obs.config.config_file import detector_arguments
-from shape_obs.image.segmentation import ColourRule
-from shape_obs.tuner.controls import controls_of
 from shape_obs.tuner.session import Session
 
 OFF = (10.0, 10.0)  # a pixel of ``blue`` on the table
@@ -110,13 +106,6 @@ def test_shapes_of_each_kind_have_controls_within_their_range(clicked):
                 assert clicked.set(control.path, int(control.least) if control.whole else control.least), clicked.error
 
 
-def test_a_dragged_area(clicked):
-    assert clicked.set_roi(((200.4, 180.0), (20.0, 30.2)))
-    assert clicked.config.roi.to_dict() == {"kind": "rectangle", "left": 20, "top": 30, "width": 180, "height": 150}
-    assert clicked.set_roi(None)
-    assert clicked.config.roi.kind == "whole"
-
-
 def test_what_is_saved_gives_the_same_points(clicked, blue, tmp_path):
     clicked.set(("shapes", 0, "n"), 15)
     clicked.save(tmp_path / "shape.yaml")
@@ -177,29 +166,3 @@ def test_the_python_program_runs_and_finds_the_same(clicked, blue, tmp_path):
         assert done.stdout.startswith("True")
         found = np.array(done.stdout.replace("True", "").translate(str.maketrans("[]", "  ")).split(), float)
         np.testing.assert_allclose(found.reshape(3, 2), wanted, atol=1e-3)
-
-
-@dataclass(frozen=True)
-class Reddish(ColourRule, kind="tuner_reddish"):
-    """A rule of another package."""
-
-    lead: int = 40
-    weight: float = 0.5
-    strict: bool = False
-    space: Literal["lab", "rgb"] = "lab"
-    centre: tuple[float, float, float] = (50.0, 20.0, -3.0)
-    note: str = ""
-
-    def matches(self, rgb):
-        return rgb[..., 0] > self.lead
-
-
-def test_a_rule_of_another_package():
-    found = {each.path: each for each in controls_of(Reddish())}
-    lead, weight = found["lead",], found["weight",]
-    assert (lead.least, lead.most, lead.whole) == (0, 160, True)
-    assert (weight.least, weight.most, weight.whole) == (0, 2.0, False)
-    assert found["strict",].type == "switch"
-    assert found["space",].choices == ("lab", "rgb")
-    assert found["centre", 2].least == -12
-    assert ("note",) not in found

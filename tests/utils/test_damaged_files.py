@@ -37,20 +37,6 @@ def test_no_flipped_bit_loads_as_other_values(tmp_path, suffix, flips):
     assert found.total() == flips
 
 
-def test_parquet_pages_have_checksums_that_other_programs_verify(tmp_path):
-    parquet = pytest.importorskip("pyarrow.parquet")
-    path = tmp_path / "t.parquet"
-    a_table().save(path)
-    data = bytearray(path.read_bytes())
-    assert parquet.read_table(path, page_checksum_verification=True).num_rows == 12
-    data[200] ^= 1
-    path.write_bytes(data)
-    with pytest.raises(OSError, match="CRC checksum verification failed"):
-        parquet.read_table(path, page_checksum_verification=True)
-    with pytest.raises(ValueError, match=r"t\.parquet: not a table of shapes, or a damaged one: damaged, its checksum"):
-        ShapeTable.load(path)
-
-
 def test_files_of_other_programs_and_early_versions_are_read(tmp_path):
     """The checksum is missing, or was copied with the metadata of another file."""
     parquet = pytest.importorskip("pyarrow.parquet")
