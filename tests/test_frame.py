@@ -7,7 +7,7 @@ import pytest
 from numba.core import event
 
 from shape_obs import Centerline, Contour, GrayRange, Intrinsics, ShapeDetector, Surface
-from shape_obs.frame import Frame, readable_depth
+from shape_obs.frame import Frame
 from tests.scenes.ropes import random_rope
 from tests.scenes.sheets import random_sheet
 
@@ -30,17 +30,6 @@ class Compiled(event.Listener):
 
     def on_end(self, event):
         pass
-
-
-@pytest.mark.parametrize("dtype", [np.float16, np.float64, np.longdouble, ">f4"])
-def test_depth_is_converted_once(dtype):
-    depth = np.full((480, 640), 0.75, dtype)
-    frame = Frame(depth=depth)
-    assert frame.depth is not None
-    assert frame.depth.dtype == np.float32
-    first, second = readable_depth(frame.depth)[0], readable_depth(frame.depth)[0]
-    assert np.shares_memory(first, second)
-    assert np.shares_memory(first, frame.depth)
 
 
 @pytest.mark.parametrize("dtype", [np.uint16, np.float32])

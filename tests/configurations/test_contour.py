@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from shape_obs import Contour, ShapeDetector, SpecError
 from shape_obs.bench.scenes import draw_blob
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.outline import Outline, clockwise
+from shape_obs.geometry.outline import clockwise
 from tests.benchmarks.outlines import seen_outline
 from tests.benchmarks.scores import outline_score, tally_visible
 from tests.scenes.blobs import KINDS, random_blob
@@ -111,20 +111,6 @@ class TestThinAndSmall:
 def test_bad_arguments_are_reported(arguments, message):
     with pytest.raises((ValueError, SpecError), match=message):
         Contour(**arguments)
-
-
-@given(angle=st.floats(0, 2 * np.pi))
-def test_a_straight_border_lies_where_the_mask_ends(angle):
-    """The outline has no bias at any slope: half a pixel outside along the axes, 0.35 along the diagonals."""
-    normal = np.array([np.cos(angle), np.sin(angle)])
-    v, u = np.mgrid[:120, :120]
-    inside = (np.abs((u - 59.3) * normal[0] + (v - 60.1) * normal[1]) < 20) & (np.hypot(u - 60, v - 60) < 50)
-    contours = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
-    traced = max(contours, key=len).reshape(-1, 2).astype(np.float64)
-    border = Outline(traced if clockwise(traced) else traced[::-1])
-    off = np.abs((border.points - (59.3, 60.1)) @ normal)
-    along = np.abs((border.points - (59.3, 60.1)) @ [-normal[1], normal[0]])
-    assert off[along < 35].mean() == pytest.approx(20, abs=0.25)
 
 
 class TestRing:
