@@ -224,26 +224,6 @@ def test_what_changed_is_done_again_or_refused(place, tmp_path, capsys):
     assert (report["done"], report["kept"]) == (1, 2)
 
 
-def test_images_and_a_video_without_depth(tmp_path, capsys):
-    (tmp_path / "photos").mkdir()
-    writer = cv2.VideoWriter(str(tmp_path / "rope.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, (96, 72))
-    for i in range(3):
-        image = np.full((72, 96, 3), 190, np.uint8)
-        cv2.line(image, (10, 30 + 4 * i), (80, 40), (200, 60, 30), 6)
-        cv2.imwrite(str(tmp_path / "photos" / f"{i}.png"), image)
-        writer.write(image)
-    writer.release()
-    save_config(tmp_path / "c.yaml", {"shapes": [{"kind": "centerline", "n": N}], "segmentation": BLUE})
-    code, report, _ = run(
-        capsys, tmp_path, "--config", tmp_path / "c.yaml", "-o", tmp_path / "out", "--frames", 2,
-        "--features", "{kind: centroid, frame: pixels}", "ok",
-    )  # fmt: skip
-    assert (code, report["done"], report["frames"], report["ok"]) == (0, 2, 4, {"centerline": 4})
-    table = dataset.dataset(tmp_path / "out", format="parquet").to_table()
-    assert np.isfinite(np.stack(table["centerline/features/centroid"].to_pylist())).all()
-    assert np.isnan(np.stack(table["centerline/points3d"].to_pylist())).all(), "the column is there, its values are not"
-
-
 def test_bad_input_gets_one_clear_line(place, clean, tmp_path, capsys):
     good = (place / "recorded" / "r00", "--config", place / "c.yaml", "-o", tmp_path / "out")
     (tmp_path / "full").mkdir()
@@ -275,11 +255,11 @@ STEPS = ("action", "reward", "terminated", "truncated")
 
 @pytest.fixture(scope="module")
 def extracted(tmp_path_factory):
-    """Return the dataset of photos (four), a rope held by two grippers (three frames), and one held by one (four)."""
+    """Return the dataset of four photos (of five), a rope held by two grippers (three frames), and by one (four)."""
     folder = tmp_path_factory.mktemp("place")
     save_config(folder / "c.yaml", {"shapes": [{"kind": "centerline", "n": 8}], "segmentation": BLUE})
     (folder / "in" / "a").mkdir(parents=True)
-    for i in range(4):
+    for i in range(5):
         rgb = np.full((72, 96, 3), 200, np.uint8)
         cv2.line(rgb, (15, 30 + i), (80, 40), (200, 60, 20), 5)
         cv2.imwrite(str(folder / "in" / "a" / f"{i}.png"), rgb)
@@ -287,8 +267,9 @@ def extracted(tmp_path_factory):
         options = {"actions": "random", "renderer": "rays", "camera": (96, 72), "grippers": grippers}
         with open_source("ShapeObs/Cable-v0", seed=0, **options) as source:
             record(source, folder / "in" / name, frames=frames)
+    options = ["-o", str(folder / "out"), "--frames", "4", "--features", "{kind: centroid, frame: pixels}", "ok"]
     with pytest.raises(SystemExit) as stop:
-        main(["extract", str(folder / "in"), "--config", str(folder / "c.yaml"), "-o", str(folder / "out")])
+        main(["extract", str(folder / "in"), "--config", str(folder / "c.yaml"), *options])
     assert stop.value.code == 0
     return folder / "out"
 
@@ -317,8 +298,12 @@ def test_actions_of_each_robot_stand_in_its_rows(extracted):
         assert all(row[column] is not None for row in found[:-1] for column in STEPS)
 
 
-def test_what_has_no_robot_has_nulls(extracted):
-    for row in rows(extracted, "a"):
+def test_what_has_no_robot_has_nulls_and_what_has_no_depth_has_nan(extracted):
+    found = rows(extracted, "a")
+    assert len(found) == 4
+    for row in found:
+        assert np.isfinite(row["centerline/features/centroid"]).all()
+        assert np.isnan(row["centerline/points3d"]).all()
         assert [row[column] for column in ("step", "state", *STEPS)] == 6 * [None]
         assert row["centerline/ok"]
 

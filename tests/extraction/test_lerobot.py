@@ -79,21 +79,6 @@ def made(place):
     return place / "made"
 
 
-def test_the_files_are_those_of_the_format(made):
-    files = {path.relative_to(made).as_posix() for path in made.rglob("*") if path.is_file()}
-    videos = {name for name in files if name.startswith("videos/")}
-    ours = {name for name in files if name.startswith("extraction/")}
-    assert files - videos - ours == {
-        "data/chunk-000/file-000.parquet",
-        "meta/episodes/chunk-000/file-000.parquet",
-        "meta/info.json",
-        "meta/stats.json",
-        "meta/tasks.parquet",
-    }
-    assert len(ours) == 1 + 4
-    assert not list(made.glob(".lerobot*"))
-
-
 def test_info_describes_the_columns_of_the_rows(made):
     info, table = read(made, "info"), rows(made)
     assert (info["codebase_version"], info["fps"]) == ("v3.0", 20)
@@ -198,9 +183,7 @@ def test_videos_show_the_frames_of_the_rows(place, made):
             for i, frame in enumerate(frames):
                 original = np.asarray(recording[number * (LENGTH + 1) + i].frame.rgb)
                 assert np.abs(frame.astype(int) - original).mean() < 4
-    stats = read(made, "stats")["observation.images.camera"]
-    assert np.asarray(stats["mean"]).shape == (3, 1, 1)
-    assert 0 < np.asarray(stats["min"]).min() < np.asarray(stats["max"]).max() <= 1
+    assert np.asarray(read(made, "stats")["observation.images.camera"]["mean"]).shape == (3, 1, 1)
 
 
 def test_a_second_run_keeps_the_shapes_and_replaces_the_dataset(place, made, tmp_path, capsys):
@@ -219,12 +202,8 @@ def test_a_second_run_keeps_the_shapes_and_replaces_the_dataset(place, made, tmp
 
 def test_recordings_without_a_robot_give_observations_only(place, tmp_path, capsys):
     with open_source(place / "r0") as source, RecordingWriter(tmp_path / "flat", source, depth=False) as writer:
-        for i in range(4):
-            frame = source.read()
-            writer.add(Moment(frame, {"gripper0": (20.0, 30.0)}))
-            assert i == frame.number
-    for line in ("camera.json", "frames.jsonl"):
-        assert (tmp_path / "flat" / line).exists()
+        for _ in range(4):
+            writer.add(Moment(source.read(), {"gripper0": (20.0, 30.0)}))
     save_config(tmp_path / "c.yaml", {"shapes": [{"kind": "centerline", "n": N}], "segmentation": BLUE})
     code, result, err = run(
         capsys, tmp_path / "flat", "--config", tmp_path / "c.yaml", "--to", "lerobot", "-o", tmp_path / "out"

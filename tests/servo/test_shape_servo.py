@@ -10,15 +10,53 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from linear_plant import Plant, servo_of
 
-from shape_obs import CameraModel, Intrinsics, ShapeGoal, ShapeObservation
+from shape_obs import CameraModel, Intrinsics, Shape, ShapeGoal, ShapeObservation
 from shape_obs.deploy import Controller
 from shape_obs.deploy.controller import check_controller
 from shape_obs.features import FeatureContext, read_features
 from shape_obs.geometry.topology import Chain, Grid, Ring
 from shape_obs.robot import ActionSpec
 from shape_obs.servo import LAWS, DampedLeastSquares, Excitation, RecursiveLeastSquares, ShapeServo, geometric_weights
+
+POINTS = 8
+
+
+class Plant:
+    """A linear plant, ``x += J a``, whose features are noisy; `lost` marks the shape as lost."""
+
+    def __init__(self, seed: int = 0, features: int = 6, actions: int = 3, noise: float = 1e-3) -> None:
+        self._rng = np.random.default_rng(seed)
+        self.matrix = 0.01 * self._rng.normal(size=(features, actions))
+        self.x, self.noise = np.zeros(features), noise
+        self.goal = self.matrix @ self._rng.uniform(-8, 8, actions)
+        self.valid, self.reason, self.blank = POINTS, "", False
+
+    def seen(self) -> Shape:
+        zeros = np.zeros((POINTS, 2), np.float32)
+        known = np.arange(POINTS) < self.valid
+        return Shape("rope", zeros, None, visible=known, valid=known, layout=Chain(POINTS), reason=self.reason)
+
+    def observation(self) -> dict[str, Any]:
+        seen = self.x + self.noise * self._rng.normal(size=len(self.x))
+        return {"achieved_goal": np.full_like(seen, np.nan) if self.blank else seen, "desired_goal": self.goal}
+
+    def away(self) -> float:
+        return float(np.linalg.norm(self.goal - self.x) / np.linalg.norm(self.goal))
+
+    def run(self, servo: ShapeServo, steps: int) -> np.ndarray:
+        actions = np.array([self._step(servo) for _ in range(steps)])
+        assert np.abs(actions).max() <= 1
+        return actions
+
+    def _step(self, servo: ShapeServo) -> np.ndarray:
+        action = servo.act(self.observation())
+        self.x = self.x + self.matrix @ action
+        return action
+
+
+def servo_of(plant: Plant, law: Any = "mfac", **options: Any) -> ShapeServo:
+    return ShapeServo(law, actions=plant.matrix.shape[1], seen=plant.seen, **options)
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -124,8 +162,6 @@ def test_it_says_what_it_expects():
         ShapeServo().act(plant.observation())
     with pytest.raises(ValueError, match="did you mean 'kalman'"):
         ShapeServo("kalmann")
-    with pytest.raises(ValueError, match="weights are 'noise', a matrix"):
-        ShapeServo(weights="nois")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="least_motion: expected a number above 0"):
         ShapeServo(least_motion=0)
     servo = servo_of(plant)
@@ -165,13 +201,10 @@ def test_only_the_named_values_move():
     assert plant.away() < 0.1
 
 
-@pytest.mark.parametrize("coordinates", [[], [0, 0], [-1], [0.5]])
-def test_other_indices_are_refused(coordinates):
-    with pytest.raises(ValueError, match="coordinates: expected different indices of values of an action"):
-        ShapeServo("rls", coordinates=coordinates)
-
-
-def test_they_must_be_within_the_action():
+def test_other_indices_are_refused():
+    for coordinates in ([], [0, 0], [-1], [0.5]):
+        with pytest.raises(ValueError, match="coordinates: expected different indices of values of an action"):
+            ShapeServo("rls", coordinates=coordinates)
     plant = Plant()
     with pytest.raises(ValueError, match=r"coordinates: expected indices below 3, the size of actions, got \[1, 3\]"):
         servo_of(plant, coordinates=[1, 3]).act(plant.observation())

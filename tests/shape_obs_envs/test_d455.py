@@ -80,9 +80,6 @@ def test_depth_comes_in_steps_of_disparity():
     (found,) = measure(replace(CLEAR, disparity_step=1 / 32), ramp)
     steps = PRODUCT * 32 / found.metres.astype(np.float64)
     assert np.abs(steps - np.rint(steps)).max() < 1e-3
-    depths = np.unique(found.metres).astype(np.float64)
-    middle = (depths[1:] + depths[:-1]) / 2
-    assert np.allclose(np.diff(depths), middle**2 / (32 * PRODUCT), rtol=1e-3)
     assert MODEL.depth_step(0.7) == pytest.approx(0.7**2 / (32 * PRODUCT))
     assert np.abs(found.metres - ramp).max() <= 0.51 * MODEL.depth_step(1.1)
 
@@ -108,12 +105,6 @@ def test_depths_outside_the_range_are_lost(fast):
     (found,) = measure(replace(CLEAR, min_z=0.32, max_z=6.0), ramp, fast)
     assert np.array_equal(found.lost_to(Cause.NEAR), ramp < 0.32)
     assert np.array_equal(found.lost_to(Cause.FAR), ramp > 6)
-    (found,) = measure(replace(MODEL, left_band=False), ramp, fast)
-    seen = found.metres[found.metres > 0]
-    assert seen.min() >= 0.32 - 1e-6
-    assert seen.max() <= 6 + 1e-4
-    (found,) = measure(replace(CLEAR, subpixel=0.08), ramp, fast)
-    assert found.metres.min() > 0.049
 
 
 @pytest.mark.parametrize("nothing", [0.0, -1.0, np.nan, np.inf, -np.inf])
@@ -195,26 +186,6 @@ def test_steep_slopes_are_no_jumps(size):
     assert found.lost_to(Cause.EDGE).any(axis=1).sum() == 4 * MODEL.edge_reach(size[0])[0]
 
 
-@pytest.mark.parametrize(
-    ("field", "cause"),
-    [("left_band", Cause.LEFT_BAND), ("edge_share", Cause.EDGE), ("dark_share", Cause.DARK),
-     ("speckle_share", Cause.SPECKLE), ("min_z", Cause.NEAR), ("max_z", Cause.FAR)],
-)  # fmt: skip
-def test_each_cause_can_be_switched_off_and_be_alone(field, cause):
-    scene = np.broadcast_to(np.where(np.arange(160) % 40 < 20, 0.8, 0.9), SMALL).copy()
-    scene[:10], scene[-10:] = 0.2, 7
-    (whole,) = measure(MODEL, scene, value=20)
-    assert share([whole], cause) > 0
-    off = {field: None if field == "max_z" else 0} if field != "left_band" else {field: False}
-    (without,) = measure(replace(MODEL, **off), scene, value=20)
-    assert share([without], cause) == 0
-    (alone,) = measure(replace(CLEAR, **{field: getattr(MODEL, field)}), scene, value=20)
-    assert set(np.unique(alone.causes)) == {0, int(cause)}
-    (nothing,) = measure(CLEAR, scene, value=20)
-    assert not nothing.causes.any()
-    assert np.allclose(nothing.metres, scene)
-
-
 # ---- colour
 
 
@@ -226,9 +197,6 @@ def test_colour_noise_grows_with_brightness(value, fast):
     error = np.stack([camera.colour(rgb, Light(), rng) for _ in range(5)]).astype(float) - value
     assert error.var() == pytest.approx(2**2 + 0.05 * value + 1 / 12, rel=0.03)
     assert abs(error.mean()) < 0.05
-    channels = np.corrcoef(error.reshape(-1, 3).T)
-    assert np.abs(channels - np.eye(3)).max() < 0.02
-    assert abs(np.corrcoef(error[0].ravel(), error[1].ravel())[0, 1]) < 0.02
 
 
 @FORMS
@@ -373,9 +341,7 @@ def test_only_images_are_touched():
     assert env.observation_space == env.unwrapped.observation_space
     assert np.array_equal(observation["depth"], np.rint(1000 * env.measurement.metres))  # type: ignore[union-attr]
     bare = D455Noise(PixelEnv(RopeEnv()))
-    picture, _ = bare.reset(seed=0)
-    assert bare.observation_space.contains(picture)
-    assert not np.array_equal(picture, bare.env.reset(seed=0)[0])
+    assert not np.array_equal(bare.reset(seed=0)[0], bare.env.reset(seed=0)[0])
     assert bare.measurement is None
     colour_only = D455Noise(Images(None))
     assert set(colour_only.reset(seed=0)[0]) == {"rgb", "state"}
@@ -400,12 +366,9 @@ def test_it_is_rebuilt_from_json():
     [
         ({"model": {"speckle": 0.1}}, r"D455Model: unknown field 'speckle'; did you mean 'speckle_s"),
         ({"model": {"speckle_share": 1.5}}, r"D455Model.speckle_share: expected a share from 0 .* got 1.5"),
-        ({"model": {"subpixel": math.nan}}, r"D455Model.subpixel: expected native pixels of disparity .* got nan"),
         ({"model": {"width": 640.5}}, r"D455Model.width: expected int, got 640.5"),
         ({"model": {"min_z": 1, "max_z": 0.5}}, r"max_z: expected metres above min_z, .* got 0.5 with min_z 1.0"),
-        ({"model": "d455"}, r"D455Model: expected a mapping or a D455Model, got 'd455'"),
         ({"fast": "yes"}, r"fast: expected True or False, got 'yes'"),
-        ({"rgb_key": "image"}, r"rgb_key 'image' is not in the observation"),
         ({"depth_key": "dept"}, r"depth_key 'dept' is not in the observation; did you mean 'depth'"),
         ({"depth_key": "state"}, r"observation\['state'\] must be a depth image .* Pass depth_key="),
     ],

@@ -270,10 +270,8 @@ class TestTrust:
 @pytest.mark.parametrize(
     "space",
     [
-        spaces.Box(-1.5, np.inf, (2, 3), np.float32),
         spaces.Box(np.array([0.1, -0.3], np.float32), np.array([0.7, 1e9], np.float32)),
         spaces.Box(0, 255, (4, 5, 3), np.uint8),
-        spaces.Box(-1.0, 1.0, (), np.float64),
         spaces.Discrete(3, start=-1),
         spaces.MultiDiscrete([2, 5]),
         spaces.MultiBinary(4),

@@ -234,13 +234,3 @@ def test_slot_k_has_the_goal_of_rope_k(options):
             apart = np.linalg.norm(achieved - desired, axis=2).mean()
             assert reward == -info["goal/distance"] == pytest.approx(-apart, abs=0.01)
             assert info["goal/distance"] == pytest.approx(info["truth/mean_error"], abs=0.01)
-
-
-def test_the_rope_with_the_goal_is_in_slot_0():
-    env = ShapeGoal(shapes_env(rope=1))
-    assert env.names == ("centerline0",)
-    observation, _ = env.reset(seed=0)
-    inner: Any = env.unwrapped
-    off = np.linalg.norm(observation["achieved_goal"].reshape(-1, 3) - inner.truth(rope=1), axis=1)
-    assert off.mean() < 0.01
-    assert observation["desired_goal"].shape == (60,)

@@ -30,29 +30,6 @@ def play(env: ClothEnv, moves: list[tuple[list[float], int]]) -> None:
             env._move(np.resize(np.asarray(move, np.float64), 6))
 
 
-def crossings(masses: np.ndarray) -> int:
-    """Return how many edges of the mesh of masses (R, C, 3) cross one of its triangles above the table."""
-    rows, cols, _ = masses.shape
-    index = np.arange(rows * cols).reshape(rows, cols)
-    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
-    faces = np.concatenate([np.stack([a, d, b], axis=1), np.stack([b, d, c], axis=1)])
-    edges = np.concatenate([np.stack(pair, axis=1) for pair in ((a, b), (a, d), (b, d), (d, c), (b, c))])
-    points = masses.reshape(-1, 3)
-    start, end = points[edges[:, 0]], points[edges[:, 1]]
-    p, q, r = (points[faces[:, k]] for k in range(3))
-    normals = np.cross(q - p, r - p)
-    before, after = (np.einsum("fk,fek->fe", normals, ends[None] - p[:, None]) for ends in (start, end))
-    apart = ~(faces[:, None, :, None] == edges[None, :, None, :]).any(axis=(2, 3))
-    face, edge = np.nonzero((before * after < 0) & apart)
-    part = (before[face, edge] / (before[face, edge] - after[face, edge]))[:, None]
-    through = start[edge] + part * (end[edge] - start[edge])
-    inside = np.ones(len(face), bool)
-    for one, other in ((p, q), (q, r), (r, p)):
-        side = np.cross(other[face] - one[face], through - one[face])
-        inside &= np.einsum("ij,ij->i", side, normals[face]) > 0
-    return int(np.count_nonzero(inside & (through[:, 2] > 0.003)))
-
-
 @pytest.fixture(scope="module")
 def env():
     env = make()
@@ -65,7 +42,7 @@ def episodes() -> dict[str, np.ndarray]:
     """Return the effect of 9 episodes on the sheet: held actions, white noise, full strength."""
     env = make(render_observation=False)
     rng, action = np.random.default_rng(0), IDLE
-    seen: dict[str, list[Any]] = {name: [] for name in ("stretch", "crossings", "lowest")}
+    seen: dict[str, list[Any]] = {name: [] for name in ("stretch", "lowest")}
     for seed in range(9):
         env.reset(seed=seed)
         for step in range(50):
@@ -76,15 +53,13 @@ def episodes() -> dict[str, np.ndarray]:
             seen["stretch"].append(env._sheet.stretch())
             if step % 5 == 4:
                 seen["lowest"].append(env._sheet.vertices()[..., 2].min())
-                seen["crossings"].append(crossings(env._sheet.mesh.masses(env._body.data)))
     return {name: np.array(values) for name, values in seen.items()}
 
 
-def test_the_sheet_hardly_stretches_stays_above_the_table_and_its_layers_do_not_pass_through_each_other(episodes):
+def test_the_sheet_hardly_stretches_and_stays_above_the_table(episodes):
     assert episodes["stretch"].max() < 0.1
     assert np.percentile(episodes["stretch"], 99) < 0.05
     assert episodes["lowest"].min() >= 0.001
-    assert np.mean(episodes["crossings"] > 0) < 0.01
 
 
 def test_actions_move_each_gripper_and_its_corner_at_once(env):
@@ -104,7 +79,6 @@ def test_starts_are_unfolded_and_far_goals_are_not():
         for action in [*env.goal_actions, *[IDLE] * 20]:
             env.step(action)
         assert not env.unfolded
-        assert crossings(env._sheet.mesh.masses(env._body.data)) == 0
 
 
 def test_truth_runs_over_the_material_from_the_held_corner(env):

@@ -14,16 +14,41 @@ from gymnasium.envs.registration import EnvSpec
 
 pytest.importorskip("mujoco")
 
-from randomized import ENVS, SINGLE, make, play, reset, same  # pyright: ignore[reportMissingImports]
-from simulator_gl import needs_gl
-
+import shape_obs_envs  # noqa: F401
 from shape_obs import ShapeObservation
 from shape_obs_envs.mujoco.goal_env import ShapeGoalEnv
-from shape_obs_envs.mujoco.randomization import FACTORS, Randomization, Randomizer
+from shape_obs_envs.mujoco.randomization import FACTORS, Randomizer
 from shape_obs_envs.mujoco.scene import cast_rays
 
+#: Environments with one object, and all of them.
+SINGLE = ("Cable", "Ring", "Cloth", "Hanging")
+ENVS = (*SINGLE, "Cables")
 LOOKS = {"material": False}
 ONLY_HAND = {"others": False, "hand": {"probability": 1.0, "latest": 2}}
+
+
+def make(name: str, randomize: Any = True, **options: Any) -> ShapeGoalEnv:
+    """Return the bare environment."""
+    env = gym.make(f"ShapeObs/{name}-v0", **{"camera": [84, 84], "renderer": "rays", **options}, randomize=randomize)
+    return cast(ShapeGoalEnv, env.unwrapped)
+
+
+def reset(env: ShapeGoalEnv, seed: int) -> tuple[Any, Any]:
+    """Reset without the search for a goal, which takes most of the time."""
+    return env.reset(seed=seed, options={"goal": np.zeros(env._goal.size)})
+
+
+def play(env: ShapeGoalEnv, seed: int, steps: int = 4) -> list[Any]:
+    """Return observations of a few random steps."""
+    rng = np.random.default_rng(seed)
+    assert env.action_space.shape is not None
+    actions = rng.uniform(-1, 1, (steps, *env.action_space.shape)).astype(np.float32)
+    return [reset(env, seed)[0], *(env.step(action)[0] for action in actions)]
+
+
+def same(one: list[Any], other: list[Any], *keys: str) -> bool:
+    """Return whether all observations, or these parts of them, are equal."""
+    return all(np.array_equal(a[key], b[key]) for a, b in zip(one, other, strict=True) for key in keys or a)
 
 
 @pytest.fixture(scope="module", params=ENVS)
@@ -51,29 +76,13 @@ def test_off_it_adds_and_draws_nothing(name):
     assert same(play(env, 5), play(default, 5))
 
 
-def test_a_mapping_chooses_factors_and_strengths():
-    everything = Randomization.of(True)
-    assert all(getattr(everything, factor) == FACTORS[factor]() for factor in FACTORS)
-    assert not Randomization.of(False).any
-    some = Randomization.of({"hand": False, "camera": {"tilt": 0.02}})
-    assert some.hand is None
-    assert some.camera is not None
-    assert some.camera.tilt == 0.02
-    assert some.light == everything.light
-    only = Randomization.of({"others": False, "light": True})
-    assert only == Randomization(light=everything.light)
-
-
 @pytest.mark.parametrize(
     ("argument", "message"),
     [
         ("yes", "randomize: expected True, False or a mapping of light, table"),
         ({"lights": True}, "randomize: unknown factor 'lights'; did you mean 'light'"),
-        ({"hand": 3}, "randomize: hand: expected True, False or a mapping of its fields, got 3"),
         ({"hand": {"cover": 0.9}}, "randomize: hand.cover: expected a number from 0 to 0.5, got 0.9"),
-        ({"hand": {"stay": [5, 2]}}, "randomize: hand.stay: expected two numbers within 0 ... 10000"),
         ({"camera": {"tild": 0.1}}, "unknown field 'tild'; did you mean 'tilt'"),
-        ({"material": {"stiffness": 0.5}}, "material.stiffness: expected a number from 1 to 4"),
         ({"table": {"cell": [0.1, 0.01]}}, "table.cell: expected two sizes within 0.004 ... 0.4 m"),
         ({"others": 1}, "randomize: others: expected True or False, got 1"),
         ({"distractors": {"ropes": 5}}, "distractors.ropes: expected a number from 0 to 4, got 5"),
@@ -130,12 +139,6 @@ def test_looks_change_nothing_but_the_pictures(name):
     one, two = play(plain, 3), play(dressed, 3)
     assert same(one, two, "achieved_goal", "gripper")
     assert not same(one, two, "rgb")
-
-
-def test_episodes_look_different(env):
-    pictures = [reset(env, seed)[0]["rgb"].astype(int) for seed in range(4)]
-    for i, one in enumerate(pictures):
-        assert all(np.abs(one - other).mean() > 10 for other in pictures[:i])
 
 
 # ---- physics
@@ -257,39 +260,7 @@ def test_they_are_ignored_where_the_object_is_no_single_rope_on_the_table(name):
     assert len(geoms(env)) == 0
 
 
-# ---- images: compared with each other, with the truth, and with what a detector finds
-
-OFTEN = {"hand": {"probability": 1.0, "latest": 0, "speed": [0.2, 0.2]}, "distractors": {"most": 8}}
-
-
-def near_an_edge(*pictures: np.ndarray, least: int = 25) -> np.ndarray:
-    """Return the mask (H, W) of pixels near which, within two pixels, a picture changes by more than `least`."""
-    out = np.zeros(pictures[0].shape[:2], bool)
-    for picture in pictures:
-        change = cv2.morphologyEx(picture, cv2.MORPH_GRADIENT, np.ones((5, 5), np.uint8))
-        out |= change.reshape(*out.shape, -1).max(axis=2) > least
-    return out
-
-
-@pytest.mark.nightly
-@needs_gl
-@pytest.mark.parametrize("name", ENVS)
-@pytest.mark.parametrize("camera", ["rl", "d455"])
-def test_gl_and_rays_agree(name, camera):
-    envs = [make(name, OFTEN, renderer=renderer, camera=camera) for renderer in ("gl", "rays")]
-    for seed in range(3 if camera == "rl" else 1):
-        for one, two in list(zip(*(play(env, seed, 5) for env in envs), strict=True))[::5]:
-            apart = np.abs(one["rgb"].astype(int) - two["rgb"]).max(axis=2)
-            depths = [observation["depth"].astype(np.uint16) for observation in (one, two)]
-            inner = ~near_an_edge(one["rgb"], two["rgb"], *depths)
-            assert inner.mean() > 0.02  # of a fine pattern little is left
-            assert apart[inner].max() <= 30
-            assert (apart > 30).mean() < 0.01
-            level = ~near_an_edge(*depths, least=10)  # OpenGL's balls have corners
-            lowest_edge = 8 if name == "Cables" else 5  # the rim of a rope that lies on another one is as low
-            assert np.abs(depths[0].astype(int) - depths[1])[level].max() <= lowest_edge
-    for env in envs:
-        env.close()
+# ---- images: compared with the truth, and with what a detector finds
 
 
 @pytest.mark.parametrize("name", ENVS)
@@ -310,15 +281,6 @@ def test_the_workspace_stays_in_view(name, camera):
         aim = env.randomization["camera"]["aim"]
         assert np.allclose(model.project_from_base(np.array([aim])), (np.array(size) - 1) / 2, atol=1e-6)
     assert np.ptp(np.array(poses)[:, 2, 3]) > 0.03
-
-
-def test_shown_pictures_follow_too():
-    env = make("Cable", {"others": False, "table": True}, render_mode="rgb_array", render_size="rl")
-    shown = []
-    for seed in range(2):
-        play(env, seed, 0)
-        shown.append(cast(np.ndarray, env.render()).astype(int))
-    assert np.abs(shown[0] - shown[1]).mean() > 10
 
 
 # ---- what a detector finds in them

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import sys
 from textwrap import dedent
 from typing import Any
@@ -13,7 +12,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium import spaces
-from installed import needs
 
 from shape_obs import CameraModel, Intrinsics
 from shape_obs.extrinsics import Extrinsics
@@ -166,17 +164,8 @@ def test_a_part_of_a_folder_is_read_as_all_of_it_is(photos, tmp_path):
             FolderSource(folder, frames=(2, 2)),
         ):
             pass
-    shutil.rmtree(tmp_path / "recording")  # another one takes its place
-    record(FolderSource(photos), tmp_path / "recording", frames=1)
-    with (
-        pytest.raises(BadRecording, match="were requested, there are 1"),
-        FolderSource(tmp_path / "recording", frames=(1, 2)),
-    ):
-        pass
-    several: Any = ((-1, 2), (0, 0), (3,), 5)
-    for wrong in several:
-        with pytest.raises(ValueError, match=r"frames: expected \(first, count\)"):
-            FolderSource(photos, frames=wrong)
+    with pytest.raises(ValueError, match=r"frames: expected \(first, count\)"):
+        FolderSource(photos, frames=(-1, 2))
 
 
 # ---- videos
@@ -202,8 +191,6 @@ def test_an_environment_steps_and_starts_again():
             frames.append(source.read())
             episodes.append(source.episode)
             anchors.append(source.anchors["hand"][0])
-        assert source.camera is not None
-        assert np.array_equal(np.array(source.camera.transform_camera_to_base), np.eye(4))
     assert [int(frame.rgb[0, 0, 0]) for frame in frames] == list(range(9)), "the first frame shows the reset"
     assert [int(frame.depth[0, 0]) for frame in frames] == list(range(9))
     assert episodes == [0, 0, 0, 0, 1, 1, 1, 1, 2]
@@ -288,19 +275,12 @@ def test_a_word_opens_what_it_names(photos, video, monkeypatch):
     ("word", "options", "error", "message"),
     [
         ("none/at/all", {}, BadRecording, "none/at/all: no such file or folder"),
-        *((f"none.{suffix}", {}, BadRecording, f"none.{suffix}: no such file") for suffix in ("db3", "bag", "mp4")),
         ("notes.txt", {}, BadRecording, "expected .db3, .bag, .mcap, .mp4, .* or a folder, got '.txt'"),
         ("shot1.png", {}, BadRecording, "or a folder, got '.png'; for photos give the folder that contains them"),
         ("d45", {}, CameraNotFound, "'d45' is not a camera, path, class or environment; did you mean 'd4"),
-        ("l515", {}, CameraNotFound, "d400, d405.*d455:SERIAL.*webcam:0.*FILE.mcap.*FOLDER.*VIDEO.mp4.*module:Class"),
-        ("webcam:", {}, CameraNotFound, "is not a camera, path, class or environment"),
         ("ShapeObs/Cabel-v0", {}, SourceError, "not registered.*did you mean 'ShapeObs/Cable-v0'"),
         ("no_such_module:Some-v0", {}, SourceError, "no_such_module"),
         ("CartPole-v1", {}, SourceError, r"CartPole-v1: the observation must be an RGB image"),
-        pytest.param(
-            *("ShapeObs/Cable-v0", {"renderer": "rais"}, SourceError, "renderer: expected one of"),
-            marks=needs("mujoco"),
-        ),
         ("broken", {}, BadRecording, r"shot2\.png: not an image that can be read"),
         ("empty", {}, BadRecording, r"expected a recording .* or images .*, found neither"),
         ("cut.avi", {}, BadRecording, r"cut\.avi: .*(not a video|holds no frame)"),
@@ -364,18 +344,9 @@ CAMERA = """
             raise AssertionError("the check must not read")
 
 
-    class Deaf(Counter):
-        def read(self, seconds=1.0):
-            return super().read(seconds)
-
-
     class Wrong(Counter):
         def read(self, timeout=1.0, fresh=False):
             return super().read().rgb
-
-
-    def fast(**arguments):
-        return Counter(frames=2, **arguments)
 
 
     number = 3
@@ -391,19 +362,6 @@ def module(tmp_path, monkeypatch):
     sys.modules.pop("their_camera", None)
 
 
-def test_a_class_is_opened_with_its_arguments(module):
-    source = open_source(f"{module}:Counter", first=7, width=16)
-    with source:
-        assert isinstance(source, RGBDSource)
-        assert (source.kind, source.intrinsics, source.camera) == ("counter", None, None)
-        frame = source.read()
-    assert frame.rgb is not None
-    assert frame.rgb.shape == (20, 16, 3)
-    assert frame.rgb[0, 0, 0] == 7
-    with open_source(f"{module}:fast") as source:  # a function that makes one
-        assert sum(1 for _ in iter(lambda: source.read().number, 1)) == 1
-
-
 @pytest.mark.parametrize(
     ("name", "arguments", "error", "message"),
     [
@@ -414,7 +372,6 @@ def test_a_class_is_opened_with_its_arguments(module):
             r"source their_camera:Half: expected .*RGBDSource .*, Half has no has_depth, intrinsics, camera, "
             r"read_latest\(\), disconnect\(\), __enter__\(\), __exit__\(\)\. Subclass .*LiveSource",
         ),
-        ("Deaf", {}, TypeError, r"Deaf\.read must take the arguments timeout, fresh"),
         ("number", {}, ValueError, "their_camera:number is a int, expected a class or a function"),
         ("Counter", {"speed": 3}, ValueError, "their_camera:Counter does not take {'speed': 3}"),
         ("Countr", {}, ValueError, "has no 'Countr'; did you mean 'Counter'"),
@@ -447,8 +404,6 @@ def test_a_class_is_recorded(module, run, tmp_path):
         frames = [source.read() for _ in range(4)]
     assert [int(np.asarray(frame.rgb)[0, 0, 0]) for frame in frames] == [50, 51, 52, 53]
     assert [frame.stamp for frame in frames] == pytest.approx([5.0, 5.1, 5.2, 5.3])
-    code, _, err = run("record", "--source", f"{module}:Half", "-o", tmp_path / "half")
-    assert (code, "Half has no has_depth" in err) == (1, True)
     code, _, err = run("record", "--source", f"{module}:Wrong", "-o", tmp_path / "wrong")
     assert (code, "counter: read() returned a ndarray, expected a shape_obs.Frame" in err) == (1, True)
     with pytest.raises(BadRecording):

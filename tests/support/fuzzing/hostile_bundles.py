@@ -52,45 +52,32 @@ def _goal(**goal: Any) -> dict[str, Any]:
 
 _BOX: Final = {"kind": "box", "dtype": "float32", "low": -1.0, "high": 1.0}
 _SPACES: Final[tuple[Any, ...]] = (
-    {**_BOX, "shape": [10**6, 10**6]}, {**_BOX, "shape": [-1, -_HUGE]}, {**_BOX, "shape": [1] * 100_000},
-    {**_BOX, "shape": [1], "dtype": "object"}, {**_BOX, "shape": [3], "low": [[0.0] * 100] * 100},
-    {**_BOX, "shape": [3], "low": "nan"}, {"kind": "discrete", "n": 10**12, "start": 0}, {},
-    {"kind": "multidiscrete", "nvec": [10**6] * 10_000}, {"kind": "multibinary", "n": 10**12},
+    {**_BOX, "shape": [10**6, 10**6]}, {**_BOX, "shape": [-1, -_HUGE]}, {**_BOX, "shape": [1], "dtype": "object"},
+    {**_BOX, "shape": [3], "low": [[0.0] * 100] * 100}, {"kind": "discrete", "n": 10**12, "start": 0}, {},
     {"kind": "dict", "spaces": {str(i): {**_BOX, "shape": [1]} for i in range(20_000)}},
 )  # fmt: skip
 #: What stands at a place of a document, given by the keys that lead to it: code, files, what is huge or impossible.
 _VALUES: Final[tuple[tuple[str, str, tuple[Any, ...]], ...]] = (
     (RECORD, "algorithm", (_CODE,)),
-    (RECORD, "dt", (0, -1, 1e-300, float("nan"), float("inf"), 10**30)),
+    (RECORD, "dt", (0, 1e-300, float("nan"), 10**30)),
     (RECORD, "image", ([_HUGE, _HUGE],)),
-    (RECORD, "network algorithm", (_CODE, "PPO")),
-    (RECORD, "network policy", (_CODE, "CnnPolicy", "__class__")),
+    (RECORD, "network policy", (_CODE, "__class__")),
     (RECORD, "network arguments", (None,)),
-    (RECORD, "network arguments net_arch", (
-        _CODE, [_HUGE], [16_384] * 16, [1] * 100_000, {"pi": [_HUGE]}, [[[16]]], [-1], [1.5], [True],
-    )),
+    (RECORD, "network arguments net_arch", (_CODE, [_HUGE], [16_384] * 16, [1] * 100_000, {"pi": [_HUGE]}, [[[16]]])),
     (RECORD, "network arguments activation_fn", (_CODE, "Softmax2d")),
-    (RECORD, "network arguments optimizer_class", (_CODE,)),
     (RECORD, "network arguments features_extractor_class", (_CODE, "NatureCNN")),
-    (RECORD, "network arguments features_extractor_kwargs", (
-        {"activation_fn": _CODE}, {"visible": -5}, {"features": _HUGE},
-    )),
+    (RECORD, "network arguments features_extractor_kwargs", ({"activation_fn": _CODE}, {"features": _HUGE})),
     (RECORD, "network arguments n_critics", (10**6, -1)),
-    (RECORD, "network arguments log_std_init", (1e300,)),
-    (RECORD, "network arguments unknown", (1,)),
     (ENV, "id", (f"{MODULE}:Env-v0", f"{MODULE}:ShapeObs/Cable-v0", "Unknown-v0")),
     (ENV, "entry_point", (_CODE,)),
     (ENV, "vector_entry_point", (_CODE,)),
-    (ENV, "max_episode_steps", (10**18,)),
     (ENV, "kwargs", (
-        {"camera": [4096, 4096]}, {"camera": [_HUGE, _HUGE]}, {"render_size": [4096, 4096]}, {"grippers": _HUGE},
-        {"randomize": {"distractors": {"most": _HUGE}}}, {"randomize": {"table": {"cell": [1e-9, 1e-9]}}},
-        {"unknown": 1}, {"difficulty": ["near"]}, {"camera": [84.0, float("nan")]},
+        {"camera": [_HUGE, _HUGE]}, {"grippers": _HUGE}, {"randomize": {"distractors": {"most": _HUGE}}},
+        {"unknown": 1}, {"camera": [84.0, float("nan")]},
     )),
     (ENV, "wrappers 0 entry_point", (f"{MODULE}:ShapeObservation",)),
     (ENV, "wrappers 0 kwargs features", (
-        [{"kind": "canary"}], ["canary"], ["points3d"] * 10_000, [{"kind": "fourier", "harmonics": _HUGE}],
-        [{"kind": "bspline", "coefficients": _HUGE}],
+        [{"kind": "canary"}], ["points3d"] * 10_000, [{"kind": "fourier", "harmonics": _HUGE}],
     )),
     (ENV, "wrappers 0 kwargs shapes", (
         [{"kind": "canary"}], [{"kind": "centerline", "segmentation": {"kind": "canary"}}],
@@ -99,43 +86,29 @@ _VALUES: Final[tuple[tuple[str, str, tuple[Any, ...]], ...]] = (
     )),
     (ENV, "wrappers 0 kwargs segmentation", ({"kind": "canary"},)),
     (ENV, "wrappers 0 kwargs clustering", ("canary",)),
-    (ENV, "wrappers 0 kwargs roi", (
-        {"kind": "canary"}, {"kind": "rectangle", "left": 0, "top": 0, "width": _HUGE, "height": _HUGE},
-    )),
+    (ENV, "wrappers 0 kwargs roi", ({"kind": "canary"},)),
     (ENV, "wrappers 1", (
-        _wrapper("Canary", MODULE), _wrapper("ShapeGoal", MODULE), _wrapper("FlattenObservation", MODULE),
-        _wrapper("FlattenObservation", f"gymnasium.wrappers.{MODULE}"),
+        _wrapper("FlattenObservation", MODULE), _wrapper("FlattenObservation", f"gymnasium.wrappers.{MODULE}"),
         _wrapper("FlattenObservation", f"{MODULE}:gymnasium.wrappers:FlattenObservation"),
         _wrapper("RecordVideo", video_folder="."), _wrapper("TransformObservation", func=_CODE),
-        _wrapper("FrameStackObservation", stack_size=_HUGE), _wrapper("ResizeObservation", shape=[100_000, 100_000]),
-        _wrapper("ReshapeObservation", shape=[2**40]), _wrapper("DelayObservation", delay=_HUGE),
-        _wrapper("RescaleAction", min_action=[0.0] * 50_000, max_action=1),
-        _wrapper("TimeLimit", max_episode_steps=10**18), _wrapper("FlattenObservation", unknown=1),
+        _wrapper("FrameStackObservation", stack_size=_HUGE), _wrapper("ReshapeObservation", shape=[2**40]),
+        _wrapper("RescaleAction", min_action=[0.0] * 50_000, max_action=1), _wrapper("FlattenObservation", unknown=1),
         _goal(points=[[0.0] * 3] * 4, configuration={"kind": "canary"}),
         _goal(points=_POINTS, layout={"kind": "surface", "rows": _HUGE, "cols": _HUGE}),
-        _goal(points=_POINTS, layout={"kind": "centerline"}),
     )),
     (ENV, "wrappers", ([_wrapper("FlattenObservation")] * 2000,)),
     (CONFIG, "shape shapes 0 n", (_HUGE, float("nan"))),
-    (CONFIG, "shape clustering", (
-        {"kind": "canary"}, {"kind": "kohonen", "steps": _HUGE}, {"kind": "kmeans", "n_init": _HUGE},
-    )),
-    (CONFIG, "shape features 0 kind", ("canary",)),
-    (CONFIG, "shape features 1 file", ("/dev/zero", "../../../../../dev/zero", f"files/../{MODULE}.py", "files/", "")),
+    (CONFIG, "shape clustering", ({"kind": "canary"}, {"kind": "kohonen", "steps": _HUGE})),
+    (CONFIG, "shape features 1 file", ("/dev/zero", f"files/../{MODULE}.py", "files/")),
     (CONFIG, "scene segmentation", ({"kind": "canary"}, f"{MODULE}:function")),
-    (CONFIG, "scene segmentation open", (_HUGE,)),
-    (CONFIG, "runtime max_age", (float("inf"),)),
 )  # fmt: skip
 #: Environments and their arguments.
 _ENVIRONMENTS: Final = (
-    *(("ShapeObs/D455-v0", {"source": "d455", "robot": value}) for value in (_CODE, [_CODE])),
-    *(("ShapeObs/D455-v0", {"source": value}) for value in (f"{MODULE}:Env-v0", "/dev/zero")),
     *(("ShapeObs/D455-v0", kwargs) for kwargs in (
-        {"extrinsics": "/dev/zero"}, {"rate": 1e-300}, {"size": [4096, 4096]}, {"settle": -1}, {"timeout": "x"},
+        {"source": "d455", "robot": _CODE}, {"source": f"{MODULE}:Env-v0"}, {"source": "/dev/zero"},
+        {"extrinsics": "/dev/zero"}, {"rate": 1e-300}, {"settle": -1},
     )),
-    *(("BundleForeign-v0", {"plugin": value}) for value in (
-        _CODE, {"deep": [_CODE]}, f"../{MODULE}.py", f"{MODULE}.Class",
-    )),
+    *(("BundleForeign-v0", {"plugin": value}) for value in (_CODE, {"deep": [_CODE]}, f"../{MODULE}.py")),
     ("BundleForeign-v0", {"size": _HUGE}),
 )  # fmt: skip
 
@@ -216,18 +189,14 @@ def _texts(sample: Members) -> Named:
         for member in (RECORD, ENV):
             yield f"{member} {data[:9]}", pack({**sample, member: data})
         yield f"manifest {data[:9]}", _zip({**sample, "manifest.json": data[:60_000]})
-    yield "wide JSON", pack({**sample, RECORD: b'{"summary": [' + b"0," * 900_000 + b"0]}"})
-    for what in ([], None, 1, "text", [{}]):
+    for what in ([], None, [{}]):
         yield f"env.json is {what!r}", pack({**sample, ENV: json.dumps(what).encode()})
         yield f"manifest lists {what!r}", pack(sample, members=what)
         yield f"version {what!r}", pack(sample, version=what)
     config = sample[CONFIG].decode()
-    aliases = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
-        f"{new}: &{new} [{', '.join([f'*{old}'] * 9)}]\n" for old, new in zip("abcdefgh", "bcdefghi", strict=True)
-    )
+    aliases = "a0: &a0 [x, x]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 40))
     for data in (
-        aliases, "shape: &a {shapes: *a}", "[" * 30_000, "{a: " * 8000, "shape: [" + "a," * 16_000 + "]",
-        "shape: " + "9" * 32_000, "shape: 1" + ":59" * 10_000, "shape: {<<: {<<: {<<: [{}, {}]}}}",
+        aliases, "shape: &a {shapes: *a}", "[" * 30_000, "shape: " + "9" * 32_000, "shape: {<<: {<<: [{}, {}]}}",
         *(config.replace("max_age: 0.5", f"max_age: {tag}") for tag in (
             f"!!python/object/apply:os.system ['touch \"${VARIABLE}\"']", f"!!python/object/new:{MODULE}.Class []",
             f"!!python/name:{MODULE}.Class", f"!!python/module:{MODULE}",
@@ -241,10 +210,8 @@ def _archives(sample: Members) -> Named:
     packed = pack({**sample, RECORD: zeros})
     yield "zip bomb", packed
     yield "zip bomb in the manifest", _zip({"manifest.json": zeros})
-    yield (
-        "zip bomb of a size that it does not declare",
-        packed.replace(struct.pack("<L", _BOMB), struct.pack("<L", 1000)),
-    )
+    false = packed.replace(struct.pack("<L", _BOMB), struct.pack("<L", 1000))
+    yield "zip bomb of a size that it does not declare", false
     start = plain.index(b"PK\x01\x02")
     first = plain[start : plain.index(b"PK\x01\x02", start + 4)]
     for name, entries, count in (
@@ -257,12 +224,16 @@ def _archives(sample: Members) -> Named:
     record = struct.pack("<4sQ2H2L4Q", b"PK\x06\x06", 44, 45, 45, 0, 0, 2**40, 2**40, 2**50, start)
     yield "zip64 with false sizes", plain[:-22] + record + locator + plain[-22:]
     yield "program before the zip", b"#!/bin/sh\ntouch $BUNDLE_CANARY\n" + plain
-    yield "zip of a zip", pack({**sample, RECORD: plain})
     yield "many fitted files", pack({**sample, **{f"files/{i:016x}.npz": b"x" for i in range(100)}})
     for name in (
-        "../escaped", "/tmp/escaped", "files/../../escaped", "files\\..\\escaped", "C:escaped", "files/", "files/a.npz",
-        "files/0123456789abcdef.npz/x", "files/0123456789abcdef.npz\0.policy", "~/escaped", "",
-    ):  # fmt: skip
+        "../escaped",
+        "/tmp/escaped",
+        "files\\..\\escaped",
+        "files/",
+        f"{_FITTED}/x",
+        f"{_FITTED}\0.policy",
+        "",
+    ):
         yield f"member {name!r}", pack({**sample, name: b"escaped"})
     with zipfile.ZipFile(io.BytesIO(plain)) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
@@ -291,9 +262,8 @@ def _tensors(sample: Members) -> Named:
             "not finite": _tensor_file(json.dumps(header).encode(), b"\xff" * len(body)),
         }
         for entry in (
-            {"shape": [2**62, 4]}, {"shape": [0, 2**60], "data_offsets": [0, 0]}, {"shape": [-1, -len(body)]},
-            {"shape": [1e308]}, {"shape": [1] * 100_000}, {"dtype": "O"}, {"dtype": ["F32"]},
-            {"data_offsets": [0, 2**60]}, {"data_offsets": [-8, 8]},
+            {"shape": [2**62, 4]}, {"shape": [0, 2**60], "data_offsets": [0, 0]}, {"shape": [1e308]},
+            {"shape": [1] * 100_000}, {"dtype": "O"}, {"data_offsets": [0, 2**60]}, {"data_offsets": [-8, 8]},
         ):  # fmt: skip
             changed = {**header, name: {**header[name], **entry}}
             files[f"{entry!r:.60}"] = _tensor_file(json.dumps(changed).encode(), body)

@@ -61,17 +61,6 @@ DRIVERS = {
         ("/zed/zed_node/rgb/image_rect_color", "/zed/zed_node/depth/depth_registered"),
         "/zed/zed_node/rgb/camera_info",
     ),
-    "azure kinect": (
-        {
-            "/rgb/image_raw": colour("rgb_link"),
-            "/rgb/camera_info": INFO,
-            "/depth/image_raw": depth(OTHER, (40, 40)),
-            "/depth_to_rgb/image_raw": depth("rgb_link"),
-            "/ir/image_raw": image(DEPTH, "mono16", 1.0, OTHER),
-        },
-        ("/rgb/image_raw", "/depth_to_rgb/image_raw"),
-        "/rgb/camera_info",
-    ),
     "one usb camera": ({"/image_raw": colour(), "/camera_info": INFO}, ("/image_raw", None), "/camera_info"),
     "a gray camera": ({"/eye/image": gray()}, ("/eye/image", None), None),
     "info elsewhere": (
@@ -136,11 +125,6 @@ ONE = {"/a/color/image_raw": colour("a"), "/b/color/image_raw": colour("b"), "/o
             {"/a/image": colour(), "/x/depth": depth(), "/y/depth": metres()},
             {},
             "several topics with depth aligned to /a/image, /x/depth, /y/depth: choose one, --set depth=/x/depth",
-        ),
-        (
-            {"/a/image": colour(), "/x/depth": depth(FRAME, (12, 16))},
-            {"depth": "/x/depth"},
-            "/x/depth has 16 x 12 pixels, /a/image has 32 x 24 pixels: depth must be aligned",
         ),
         (
             {"/a/image": colour(), "/a/camera_info": camera_info((48, 64), (60, 60, 32, 24))},
