@@ -202,7 +202,8 @@ def test_only_the_named_values_move():
 
 
 def test_other_indices_are_refused():
-    for coordinates in ([], [0, 0], [-1], [0.5]):
+    wrong: Any = ([], [0, 0], [-1], [0.5])
+    for coordinates in wrong:
         with pytest.raises(ValueError, match="coordinates: expected different indices of values of an action"):
             ShapeServo("rls", coordinates=coordinates)
     plant = Plant()

@@ -252,24 +252,16 @@ class TestEveryEnv:
     ("name", "options", "message"),
     [
         ("cable", {"difficulty": "easy"}, r"difficulty: expected one of 'near', 'middle', 'far', got 'easy'"),
-        ("cable", {"render_observation": "no"}, r"render_observation: expected one of True, False, got 'no'"),
         ("cable", {"render_size": [10, 10]}, r"render_size: expected .* from 16 to 4096, got \[10, 10\]"),
         ("cable", {"success_threshold": 0}, r"success_threshold: expected a distance in metres above 0, got 0"),
         ("cable", {"camera": "d445"}, r"camera: .* or \[width, height\], got 'd445'. Did you mean 'd455'"),
         ("cable", {"camera": [84, 96]}, r"camera: expected a width of at least the height"),
-        ("cable", {"camera": [84.0, 84.0]}, r"two whole numbers from 16 to 4096, got \[84.0, 84.0\]"),
-        (
-            "cable",
-            {"renderer": "ray"},
-            r"renderer: expected one of 'auto', .* got 'ray'. Did you mean 'rays'",
-        ),
+        ("cable", {"renderer": "ray"}, r"renderer: expected one of 'auto', .* got 'ray'. Did you mean 'rays'"),
         ("cable", {"reward_type": "spars"}, r"reward_type: .* Did you mean 'sparse'"),
-        ("hanging", {"view": "sied"}, r"view: expected one of 'side', 'above', got 'sied'. Did you mean 'side'"),
         ("hanging", {"step": 0.06}, r"step: expected at most 0.05 m, with which the physics is stable, got 0.06"),
         ("hanging", {"grippers": 3}, r"grippers: expected a whole number, from 1 to 2, got 3"),
         ("cables", {"ropes": 4}, r"ropes: expected a whole number, from 2 to 3, got 4"),
         ("cables", {"rope": 1, "grippers": 1}, r"rope: expected a whole number, from 0 to 0, got 1"),
-        ("cables", {"rope": "al"}, r"rope: expected one of 'all', got 'al'. Did you mean 'all'"),
     ],
 )
 def test_bad_arguments_are_refused(name, options, message):
