@@ -1,4 +1,4 @@
-"""Components of a mask, their outlines and their shares, against OpenCV and brute force."""
+"""Components of a mask, their outlines and their shares, against OpenCV, SciPy and brute force."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shape_obs.image.connected_runs import find_components
+from shape_obs.image.connected_runs import find_components, gather_cells
 from shape_obs.image.find_region import find_region
 from shape_obs.image.outline_tracing import Traced, trace_components, trace_hole
 from shape_obs.image.roi import Window
@@ -52,6 +52,19 @@ def test_components_are_those_of_opencv(seed, share, grain, floors):
         (v, u), (bottom, right) = (f(np.argwhere(left), axis=0).tolist() for f in (np.min, np.max))
         width, height = right - u + 1, bottom - v + 1
         assert box == (u - 3, v + 7, width, height)
+
+
+@given(SEEDS, st.floats(0, 1), st.integers(1, 9))
+def test_cells_hold_their_pixels_count_and_centroid(seed, share, edge):
+    mask = drawn(seed, share, 1)
+    row, column = np.nonzero(mask)
+    pixels = np.stack([column, row + 7], axis=1)
+    cells, inverse = np.unique(pixels[:, ::-1] // edge, axis=0, return_inverse=True)
+    count = np.bincount(inverse.ravel(), minlength=len(cells))
+    centroid = np.stack([np.bincount(inverse.ravel(), x, len(cells)) for x in pixels.T], axis=1)
+    points, weight = gather_cells(runs_of(mask) + (0, 3, 3), edge)  # no image has columns below 0
+    np.testing.assert_array_equal(weight, count)
+    np.testing.assert_allclose(points, centroid / count[:, None])
 
 
 LEFT, TOP = 5, -3  # of a traced mask in the image
