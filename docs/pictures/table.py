@@ -1,6 +1,6 @@
 """Fill the tables of the paper's Table I on the page of speed and draw its bars, from the folder of a run:
 
-shape-obs bench table --frames 1000 --clock thread --out table
+shape-obs bench table --clock thread --out table
 uv run python docs/pictures/table.py table
 """
 
@@ -31,7 +31,7 @@ def main(folder: Path) -> None:
     machine, parts = (folder / "table.md").read_text(encoding="utf-8").split("\n\n## Centerline", 1)
     details, whole = parts.split("## All", 1)
     blocks = {"table": f"{machine}\n\n#### All three configurations{whole}", "details": f"## Centerline{details}"}
-    blocks["details"] = re.sub("^##", "###", blocks["details"], flags=re.MULTILINE)
+    blocks["details"] = re.sub("^##", "####", blocks["details"], flags=re.MULTILINE)
     page = PAGE.read_text(encoding="utf-8")
     for name in blocks:
         page, count = re.subn(

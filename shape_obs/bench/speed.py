@@ -1,4 +1,7 @@
-"""Time each stage on this machine: a tracked rope from mask, image and RGB-D image to points, and simulated steps."""
+"""Time each stage on this machine: a rope from mask, image and RGB-D image to points, and simulated steps.
+
+OpenCV's usual way from an image to a mask is timed on the same frames, as a reference for other machines.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from typing import Any, Final, TypeVar
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from shape_obs.bench.photos import BLUE, Scene, photograph
 from shape_obs.bench.report import CLOCKS
@@ -26,7 +30,7 @@ _EPISODE: Final = 50  # steps
 
 
 def image_stages(size: Size, frames: int, clock: str, tick: Callable[[], Any] = lambda: None) -> list[Stage]:
-    """Time detectors that track 20 points on a moving rope, about 8,000 of 640 x 480 pixels.
+    """Time detectors that find 20 points on a moving rope, about 8,000 of 640 x 480 pixels.
 
     Args:
         size: Of the images; the rope grows with the height.
@@ -38,11 +42,18 @@ def image_stages(size: Size, frames: int, clock: str, tick: Callable[[], Any] = 
         A row for each stage: ``what`` was timed, the ``image`` size, ``median_ms``, ``p99_ms`` (the 99th percentile),
         and ``refused``, the number of frames without points.
     """
-    in_mask, in_image, in_space = (ShapeDetector([Centerline(n=20)], BLUE) for _ in range(3))
+    in_mask, in_image, in_space, cold = (ShapeDetector([Centerline(n=20)], BLUE) for _ in range(4))
+
+    def without_track(scene: Scene) -> bool:
+        cold.reset()
+        return cold.detect(scene.rgb, scene.depth, scene.camera).ok
+
     methods: dict[str, Callable[[Scene], bool]] = {
+        "image to mask with OpenCV": lambda scene: bool(largest_blue(scene.rgb).any()),
         "mask to points": lambda scene: in_mask.detect_mask(scene.mask).ok,
         "image to points": lambda scene: in_image.detect(scene.rgb).ok,
         "image and depth to 3D points": lambda scene: in_space.detect(scene.rgb, scene.depth, scene.camera).ok,
+        "the same without a track": without_track,
     }
     rng = np.random.default_rng(0)
     scenes = [photograph(rng, _enlarged(rope, size), light=0.6) for rope in moving_rope(rng, 10.0, _SCENES, width=24.0)]
@@ -91,6 +102,15 @@ def env_stages(name: str, size: Size, steps: int, clock: str, tick: Callable[[],
             f"step of {name} with ShapeObservation": lambda action: bool(wrapped.step(action)[4]["shape/ok"]),
         }
         return _timed(actions(), methods, size, clock, tick)
+
+
+def largest_blue(rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
+    """Return the largest blue object of an ``(H, W, 3)`` image, ``(H, W)``: range, opening, closing, components."""
+    mask = cv2.inRange(cv2.cvtColor(rgb, cv2.COLOR_RGB2HSV), np.array(BLUE.low), np.array(BLUE.high))
+    square = np.ones((3, 3), np.uint8)
+    mask = cv2.morphologyEx(cv2.morphologyEx(mask, cv2.MORPH_OPEN, square), cv2.MORPH_CLOSE, square)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    return np.asarray(labels == 1 + stats[1:, cv2.CC_STAT_AREA].argmax() if count > 1 else mask > 0)
 
 
 def _enlarged(rope: Rope, size: Size) -> Rope:
