@@ -166,9 +166,11 @@ def test_garbage_masks_and_depth_never_break_the_detector(data, size, n, rule):
         detector.detect_mask(mask, depth, camera)
 
 
-def test_a_rope_one_pixel_thick_is_followed_to_its_ends():
+@pytest.mark.parametrize("upright", [False, True])
+def test_a_rope_one_pixel_thick_is_followed_to_its_ends(upright):
     mask = np.zeros((60, 100), bool)
     mask[30, 10:90] = True
-    shape = ShapeDetector(Centerline(n=5, ends="tips")).detect_mask(mask).shapes[0]
-    np.testing.assert_allclose(shape.points2d[:, 1], 30, atol=0.3)
-    np.testing.assert_allclose(shape.points2d[:, 0], np.linspace(9.5, 89.5, 5), atol=1)
+    shape = ShapeDetector(Centerline(n=5, ends="tips")).detect_mask(mask.T if upright else mask).shapes[0]
+    along, across = (1, 0) if upright else (0, 1)
+    np.testing.assert_allclose(shape.points2d[:, across], 30, atol=0.3)
+    np.testing.assert_allclose(shape.points2d[:, along], np.linspace(9.5, 89.5, 5), atol=1)
