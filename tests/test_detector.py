@@ -184,3 +184,10 @@ def test_a_detection_becomes_json(wave, intrinsics):
     assert (data["shapes"][0]["track_id"], data["shapes"][0]["new"]) == (1, True)
     assert data["shapes"][0]["length"] == pytest.approx(detection.shapes[0].length, abs=1e-4)
     assert data["warning"] == ""
+
+
+def test_a_detection_prints_what_was_found_where_and_why_not(wave):
+    detector = ShapeDetector()
+    assert "ok" in repr(found := detector.detect_mask(wave.mask))
+    assert "px" in repr(found)
+    assert "the mask is empty" in repr(detector.detect_mask(np.zeros_like(wave.mask)))

@@ -15,7 +15,7 @@ import yaml
 from ablation_study import STUDY, here, killing, numbers
 
 from shape_obs.ablation import Study
-from shape_obs.ablation.executors import Ray
+from shape_obs.ablation.executors import Local, Outcome, Ray, Task
 from shape_obs.ablation.sweep import left, sweep
 
 COMMAND = (sys.executable, "-c", "from shape_obs.cli import main; main()", "ablate")
@@ -38,6 +38,24 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_numbers(tmp_path):
     assert killed
     assert {outcome.task.arm: outcome.error for outcome in outcomes} == {"small": "", "smaller": ""}
     assert numbers(cluster) == numbers(tmp_path / "here")
+
+
+def test_a_run_whose_process_dies_is_done_again_once_and_the_others_stay(tmp_path, monkeypatch):
+    def work(task: Task) -> Outcome:
+        died = task.folder / f"{task.arm}{task.seed} died"
+        if task.arm == "small" and not (task.seed == 0 and died.exists()):
+            died.touch()
+            os._exit(1)
+        return Outcome(task, about={"process": os.getpid()})
+
+    monkeypatch.setattr("shape_obs.ablation.executors.work", work)
+    study = Study.from_dict({name: value for name, value in STUDY.items() if name != "version"})
+    tasks = [Task(study, arm, seed, tmp_path) for seed in (0, 1) for arm in ("small", "smaller")]
+    found = {(outcome.task.arm, outcome.task.seed): outcome for outcome in Local(2)(tasks)}
+    assert [key for key, outcome in found.items() if outcome.error] == [("small", 1)]
+    assert "process ended" in found["small", 1].error
+    assert len(found) == 4
+    assert os.getpid() not in {outcome.about.get("process") for outcome in found.values()}
 
 
 def test_without_ray_it_says_what_to_install(monkeypatch):

@@ -18,7 +18,10 @@ from shape_obs.bench.scenes import Sheet, draw_sheet, flat_cloth
 from shape_obs.bench.table import CONFIGURATIONS, LABELS, MEASURES, in_right_order, markdown, pictures, summarised
 from shape_obs.cli import main
 
-IMAGE_STAGES = ["mask to points", "image to points", "image and depth to 3D points"]
+IMAGE_STAGES = [
+    "image to mask with OpenCV", "mask to points", "image to points", "image and depth to 3D points",
+    "the same without a track",
+]  # fmt: skip
 ENV_STAGES = ["step of Cable", "step of Cable with ShapeObservation"]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -11,6 +12,8 @@ import pytest
 
 from shape_obs import Frame, ShapeDetector, load_config, save_config
 from shape_obs.config.config_file import detector_arguments
+from shape_obs.image.segmentation import HSVRange, Segmentation
+from shape_obs.tuner.controls import controls_of
 from shape_obs.tuner.session import Session
 
 OFF = (10.0, 10.0)  # a pixel of ``blue`` on the table
@@ -104,6 +107,30 @@ def test_shapes_of_each_kind_have_controls_within_their_range(clicked):
             if control.type == "number":
                 assert clicked.set(control.path, int(control.most) if control.whole else control.most), clicked.error
                 assert clicked.set(control.path, int(control.least) if control.whole else control.least), clicked.error
+
+
+@dataclass(frozen=True)
+class Strict(Segmentation):
+    """A rule of another package."""
+
+    sharp: bool = True
+    weights: tuple[float, float] = (1.0, 2.0)
+    bias: int = -3
+
+    def threshold(self, frame, window):
+        """Return nothing."""
+        return np.zeros((window.height, window.width), np.uint8)
+
+
+def test_a_rule_has_sliders_for_numbers_pairs_and_both_bounds_of_a_channel_and_switches():
+    found = {control.path: control for control in controls_of(Strict())}
+    assert found["sharp",].type == "switch"
+    assert [(found[path].least, found[path].most) for path in (("weights", 0), ("weights", 1), ("bias",))] == [
+        (0, 4), (0, 8), (-12, 12)
+    ]  # fmt: skip
+    assert found["bias",].whole
+    bounds = [control.path for control in controls_of(HSVRange((0, 1, 2), (3, 4, 5))) if len(control.path) == 2]
+    assert bounds == [(bound, channel) for channel in range(3) for bound in ("low", "high")]
 
 
 def test_what_is_saved_gives_the_same_points(clicked, blue, tmp_path):

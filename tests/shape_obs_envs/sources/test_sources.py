@@ -20,6 +20,7 @@ from shape_obs.recording.format import read_moments
 from shape_obs.source import BadRecording, CameraNotFound, EndOfSource, NotConnected, RGBDSource, SourceError
 from shape_obs_envs.sources import EnvSource, FolderSource, VideoSource, open_source
 from shape_obs_envs.sources.env import zero_action
+from shape_obs_envs.sources.photo import PhotoSource
 
 
 class Clock(gym.Env):
@@ -137,6 +138,20 @@ def test_every_source_keeps_the_protocol(kind, photos, video, tmp_path):
 
 
 # ---- photos
+
+
+def test_one_photo_with_its_depth_is_a_source_of_one_frame(photos, tmp_path):
+    np.save(tmp_path / "depth.npy", np.full((20, 30), 0.5, np.float32))
+    source = PhotoSource(photos / "shot2.png", depth=tmp_path / "depth.npy", intrinsics=(30.0, 30.0, 14.5, 9.5))
+    for _ in range(2):
+        with source:
+            frame: Any = source.read()
+            assert (frame.number, frame.camera.intrinsics.size, source.has_depth) == (0, (20, 30), True)
+            np.testing.assert_array_equal(frame.depth, np.float32(0.5))
+            with pytest.raises(EndOfSource):
+                source.read()
+    with pytest.raises(BadRecording), PhotoSource(photos / "notes.txt"):
+        pass
 
 
 def test_photos_come_in_the_order_of_their_numbers(photos):
