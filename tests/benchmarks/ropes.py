@@ -213,7 +213,7 @@ CLAIMS: Final = (
         {"detections": len, "order wrong": failures("ordered"), "refused": failures("ok"),
          "to the axis, mean [px]": of(mean, "distance"), "worst [px]": of(worst, "distance"),
          "worst point [widths]": of(worst, "widths"),
-         "tip, mean [px]": of(mean, "tip"), "tip, worst [px]": of(worst, "tip"),
+         "tip, worst [px]": of(worst, "tip"),
          "gap CV, worst": of(worst, "gap_cv", lambda row: row.spaced),
          "narrow bends": of(len, "gap_cv", lambda row: row.n >= 12 and not row.spaced)},
         limits=(
