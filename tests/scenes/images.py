@@ -79,7 +79,8 @@ def tilted_sheet(rng: np.random.Generator) -> TiltedSheet:
     right = np.array([1.0, 0, 0]) - normal * normal[0]
     right /= np.linalg.norm(right)
     axes = rotation(-rng.uniform(-0.35, 0.35)) @ np.stack([right, np.cross(normal, right)])
-    corners = np.array([(-0.18, -0.12), (0.18, -0.12), (0.18, 0.12), (-0.18, 0.12)]) @ axes + (0.0, 0.0, 0.8)
+    flat = np.array([(-0.18, -0.12), (0.18, -0.12), (0.18, 0.12), (-0.18, 0.12)])
+    corners = np.asarray(flat @ axes + (0.0, 0.0, 0.8), np.float64)
     canvas = blank((480, 640))
     cv2.fillPoly(canvas, [subpixel(CAMERA.project(corners))], (255,), shift=8)
     mask = covered(canvas)
