@@ -49,7 +49,7 @@ def image_stages(size: Size, frames: int, clock: str, tick: Callable[[], Any] = 
         return cold.detect(scene.rgb, scene.depth, scene.camera).ok
 
     methods: dict[str, Callable[[Scene], bool]] = {
-        "image to mask with OpenCV": lambda scene: bool(largest_blue(scene.rgb).any()),
+        "image to mask with OpenCV": lambda scene: bool(_largest_blue(scene.rgb).any()),
         "mask to points": lambda scene: in_mask.detect_mask(scene.mask).ok,
         "image to points": lambda scene: in_image.detect(scene.rgb).ok,
         "image and depth to 3D points": lambda scene: in_space.detect(scene.rgb, scene.depth, scene.camera).ok,
@@ -104,7 +104,7 @@ def env_stages(name: str, size: Size, steps: int, clock: str, tick: Callable[[],
         return _timed(actions(), methods, size, clock, tick)
 
 
-def largest_blue(rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
+def _largest_blue(rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
     """Return the largest blue object of an ``(H, W, 3)`` image, ``(H, W)``: range, opening, closing, components."""
     mask = cv2.inRange(cv2.cvtColor(rgb, cv2.COLOR_RGB2HSV), np.array(BLUE.low), np.array(BLUE.high))
     square = np.ones((3, 3), np.uint8)

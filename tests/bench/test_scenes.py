@@ -67,7 +67,7 @@ def faults(scene, true):
         along = np.gradient(one, axis=0)
         yield "cut tip", [*rest, one[round(1.5 * width) :]], 1
         yield "half", [*rest, one[: len(one) // 2]], 1
-        yield "beside", [*rest, one + 0.6 * width * np.stack([-along[:, 1], along[:, 0]], axis=1)], 1
+        yield "next to the rope", [*rest, one + 0.6 * width * np.stack([-along[:, 1], along[:, 0]], axis=1)], 1
         yield "twice", [*true, one], 1
         yield "no curve", [*rest, np.full((20, 2), np.nan)], 1
     for crossing in scene.crossings:

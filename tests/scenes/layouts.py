@@ -1,4 +1,4 @@
-"""Lay the axes of ropes on a table so that they cross a given number of times and touch nowhere else."""
+"""Place the axes of ropes on a table so that they cross a given number of times and touch nowhere else."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Meeting(NamedTuple):
     angle: float
 
 
-def lay_ropes(
+def place_ropes(
     rng: np.random.Generator, count: int, crossings: int, table: Table
 ) -> tuple[list[Curve], list[Meeting]] | None:
     """Return ``count`` axes with steps of a pixel and their crossings; None if there is no room for so many."""

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench.scenes import SIZE, draw_rope, resample
-from tests.scenes.layouts import Table, is_tight, lay_ropes, meetings
+from tests.scenes.layouts import Table, is_tight, meetings, place_ropes
 from tests.scenes.ropes import Curve, arcs, place
 
 _TRIES: Final = 2000
@@ -41,9 +41,9 @@ def crossing_rope(rng: np.random.Generator, crossings: int) -> Tangle:
     for _ in range(_TRIES):
         width = float(rng.uniform(8, 16))
         table = Table(SIZE, width, smallest_angle=np.deg2rad(25), apart=_APART)
-        laid = lay_ropes(rng, 1, crossings, table)
-        if laid is not None:
-            return _drawn(rng, laid[0][0], width, np.array([each.place for each in laid[1]]).reshape(-1, 2))
+        placed = place_ropes(rng, 1, crossings, table)
+        if placed is not None:
+            return _drawn(rng, placed[0][0], width, np.array([each.place for each in placed[1]]).reshape(-1, 2))
     raise RuntimeError(f"no rope with {crossings} crossings found that fits the image.")
 
 

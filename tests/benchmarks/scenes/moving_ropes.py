@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench.scenes import SIZE, draw_rope, from_heading, resample, rotation
-from tests.benchmarks.scenes.relief import relief, unit
+from tests.benchmarks.scenes.height_field import HeightField, unit
 from tests.benchmarks.scenes.several_ropes import on_a_table
-from tests.scenes.layouts import Table, lay_ropes
+from tests.scenes.layouts import Table, place_ropes
 from tests.scenes.ropes import Curve, headings, normals
 
 Array = npt.NDArray[np.float64]
@@ -80,7 +80,7 @@ def moving_ropes(
         mask = np.maximum.reduce([draw_rope(curve, thick, size=size).mask for curve in curves])
         if pictures:
             lifted = [np.full(len(curve), float(order[k])) for k, curve in enumerate(curves)]
-            top = relief(curves, [thick] * count, lifted, size, _LIGHT)
+            top = HeightField.of_ropes(curves, [thick] * count, lifted, size, _LIGHT)
             rgb = on_a_table(np.random.default_rng(seed), top, _LIGHT, colour)
             rgb[hand] = (205, 160, 135)
         visible = tuple(_is_seen(curve, hand) for curve in curves)
@@ -208,16 +208,16 @@ def _touching(rng: np.random.Generator, count: int, size: tuple[int, int], width
 
 def _calm(rng: np.random.Generator, count: int, size: tuple[int, int], width: float) -> Script:
     """Let ropes that may cross sway about their places."""
-    laid = None
-    while laid is None:
-        laid = lay_ropes(rng, count, int(rng.integers(3)), Table(size, width, 0.0, np.deg2rad(40)))
-    middles = [np.array([*curve.mean(axis=0), 0.0]) for curve in laid[0]]
+    placed = None
+    while placed is None:
+        placed = place_ropes(rng, count, int(rng.integers(3)), Table(size, width, 0.0, np.deg2rad(40)))
+    middles = [np.array([*curve.mean(axis=0), 0.0]) for curve in placed[0]]
     swings = [_swings(rng, 0.06, 4.0) for _ in range(count)]
     rates, phases = rng.uniform(2, 5, (count, 3)) * 2 * np.pi, rng.uniform(0, 2 * np.pi, (count, 3))
 
     def script(time: float) -> tuple[Curve, ...]:
         poses = middles + np.sin(rates * time + phases) * (6.0, 6.0, 0.03)
-        return tuple(_rope(headings(c), s(time), p) for c, s, p in zip(laid[0], swings, poses, strict=True))
+        return tuple(_rope(headings(c), s(time), p) for c, s, p in zip(placed[0], swings, poses, strict=True))
 
     return script
 

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench.scenes import SIZE
-from tests.benchmarks.scenes.relief import Array, Field, Relief, Size, grain, photographed, relief, unit
+from tests.benchmarks.scenes.height_field import Array, Field, HeightField, Size, grain, photographed, unit
 from tests.benchmarks.scenes.several_ropes import lifts
-from tests.scenes.layouts import Table, lay_ropes
+from tests.scenes.layouts import Table, place_ropes
 from tests.scenes.ropes import normals
 
 Kind = Literal["rope", "wire", "harness", "cloth", "ring"]
@@ -56,24 +56,24 @@ def object_photo(rng: np.random.Generator, kind: Kind, ground: Ground) -> Object
     return ObjectPhoto(photographed(rng, surface, scene, light, rough=True), seen > 0.5, kind)
 
 
-def _strands(rng: np.random.Generator, kind: Kind, light: Array) -> Relief:
+def _strands(rng: np.random.Generator, kind: Kind, light: Array) -> HeightField:
     """Return one to five ropes or wires that cross; the first is the object."""
-    laid, thick, count = None, 0.0, 0
-    while laid is None:
+    placed, thick, count = None, 0.0, 0
+    while placed is None:
         thick, most = (float(rng.uniform(9, 24)), 4) if kind == "rope" else (float(rng.uniform(3.5, 9)), 6)
         count = int(rng.integers(1, most))
-        laid = lay_ropes(rng, count, int(rng.integers(2 * count)), Table(SIZE, thick, 0.4, np.deg2rad(20)))
-    above = rng.integers(2, size=len(laid[1])).astype(bool).tolist()
-    return relief(laid[0], [thick] * count, lifts(*laid, above, thick), SIZE, light)
+        placed = place_ropes(rng, count, int(rng.integers(2 * count)), Table(SIZE, thick, 0.4, np.deg2rad(20)))
+    above = rng.integers(2, size=len(placed[1])).astype(bool).tolist()
+    return HeightField.of_ropes(placed[0], [thick] * count, lifts(*placed, above, thick), SIZE, light)
 
 
-def _harness(rng: np.random.Generator, kind: Kind, light: Array) -> Relief:
+def _harness(rng: np.random.Generator, kind: Kind, light: Array) -> HeightField:
     """Return three to seven wires that run side by side and fan out at both ends."""
-    laid, thick = None, 0.0
-    while laid is None:
+    placed, thick = None, 0.0
+    while placed is None:
         thick = float(rng.uniform(3.5, 7))
-        laid = lay_ropes(rng, 1, 0, Table(SIZE, 4 * thick, 0.3))
-    axis, curves = laid[0][0], []
+        placed = place_ropes(rng, 1, 0, Table(SIZE, 4 * thick, 0.3))
+    axis, curves = placed[0][0], []
     normal, share = normals(axis), np.linspace(0, 1, len(axis))
     count = int(rng.integers(3, 8))
     for place in rng.permutation(count) - (count - 1) / 2:
@@ -81,12 +81,12 @@ def _harness(rng: np.random.Generator, kind: Kind, light: Array) -> Relief:
         offset = place * thick * (rng.uniform(0.95, 1.15) + fan)
         sway = 0.25 * thick * np.sin(share * rng.uniform(4, 14) + rng.uniform(0, 6))
         curves.append(axis + (offset + sway)[:, None] * normal)
-    return relief(curves, [thick] * count, [np.zeros(len(axis))] * count, SIZE, light)
+    return HeightField.of_ropes(curves, [thick] * count, [np.zeros(len(axis))] * count, SIZE, light)
 
 
-def _flat(rng: np.random.Generator, kind: Kind, light: Array) -> Relief:
+def _flat(rng: np.random.Generator, kind: Kind, light: Array) -> HeightField:
     """Return a cloth with folds or a closed band, and sometimes a second one of another place."""
-    surface = Relief.empty(SIZE)
+    surface = HeightField.empty(SIZE)
     rows, columns = surface.owner.shape
     for owner in range(int(rng.integers(1, 3)) - 1, -1, -1):
         around = np.linspace(0, 2 * np.pi, 200, endpoint=False)

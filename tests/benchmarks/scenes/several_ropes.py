@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from shape_obs.bench.scenes import SIZE
-from tests.benchmarks.scenes.relief import FINER, Array, Field, Image, Relief, grain, photographed, relief, unit
-from tests.scenes.layouts import Meeting, Table, lay_ropes
+from tests.benchmarks.scenes.height_field import FINER, Array, Field, HeightField, Image, grain, photographed, unit
+from tests.scenes.layouts import Meeting, Table, place_ropes
 from tests.scenes.ropes import Curve
 
 _WIDTHS: Final = 8  # tried thicknesses until the generator gives up
@@ -78,16 +78,16 @@ def several_ropes(
     """
     for _ in range(_WIDTHS):
         thick = float(rng.uniform(4, 14)) if width is None else width
-        laid = lay_ropes(rng, count, crossings, Table(size, thick, leaving))
-        if laid is not None:
+        placed = place_ropes(rng, count, crossings, Table(size, thick, leaving))
+        if placed is not None:
             break
     else:
         raise RuntimeError(f"no {count} ropes with {crossings} crossings found that fit {size[1]} x {size[0]} pixels.")
-    curves, found = laid
+    curves, found = placed
     widths = tuple(thick * float(np.clip(rng.normal(1, 0.02), 0.95, 1.05)) for _ in curves)
     above = rng.integers(2, size=len(found)).astype(bool).tolist()
     light = unit(np.array([*rng.uniform(-0.6, 0.6, 2), 1.0]))
-    surface = relief(curves, widths, lifts(curves, found, above, thick), size, light)
+    surface = HeightField.of_ropes(curves, widths, lifts(curves, found, above, thick), size, light)
     dirty = rng.random(4) < 0.6
     mask = _segmented(
         surface,
@@ -105,7 +105,7 @@ def several_ropes(
     return RopeScene(tuple(curves), widths, mask, rgb, listed, np.asarray(height, np.float32))
 
 
-def on_a_table(rng: np.random.Generator, surface: Relief, light: Array, colour: Array) -> Image:
+def on_a_table(rng: np.random.Generator, surface: HeightField, light: Array, colour: Array) -> Image:
     """Photograph ropes of one colour, which stands out from that of a blotchy table, ``(H, W, 3)`` uint8."""
     table = colour
     while np.abs(colour - table).max() < 90:
@@ -164,7 +164,7 @@ def _lift(length: int, crossings: Sequence[tuple[float, bool]], width: float) ->
 
 
 def _segmented(
-    surface: Relief, rng: np.random.Generator, *, soft: float, ragged: float, specks: int, holes: int, width: float
+    surface: HeightField, rng: np.random.Generator, *, soft: float, ragged: float, specks: int, holes: int, width: float
 ) -> Image:
     """Return the mask that a segmentation makes of ropes, ``(H, W)`` uint8, 0 or 255; see ``several_ropes``."""
     on = (surface.owner >= 0).astype(np.uint8)

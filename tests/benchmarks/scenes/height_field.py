@@ -1,4 +1,4 @@
-"""Draw what lies on a table as a relief, and photograph it: shade, shadows, light that falls off, blur and noise."""
+"""Draw what lies on a table as a height field, and photograph it: shade, shadows, falling light, blur and noise."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _GAMMA: Final = 2.2
 
 
 @dataclass(frozen=True)
-class Relief:
+class HeightField:
     """The upper surface of what lies on a table, on a raster that is twice as fine as the image."""
 
     height: Field  # height of the surface over the table, (2H, 2W) float32 pixels of the image; 0 on the table
@@ -34,11 +34,41 @@ class Relief:
     owner: npt.NDArray[np.int8]  # index of the object on top, (2H, 2W) int8; -1 on the table
 
     @classmethod
-    def empty(cls, size: Size) -> Relief:
+    def empty(cls, size: Size) -> HeightField:
         """Return the table alone, for an image of ``size`` ``(H, W)``."""
         rows, columns = size[0] * FINER, size[1] * FINER
         height, shade = np.zeros((2, rows, columns), np.float32)
         return cls(height, shade, np.full((rows, columns), -1, np.int8))
+
+    @classmethod
+    def of_ropes(
+        cls, curves: Sequence[Curve], widths: Sequence[float], lifted: Sequence[Array], size: Size, light: Array
+    ) -> HeightField:
+        """Draw ropes with round tips as cylinders on a table; where ropes overlap the higher surface is seen.
+
+        Args:
+            curves: Axis of each rope from tip to tip, ``(P, 2)`` pixels at steps of a pixel.
+            widths: Thickness of each in pixels.
+            lifted: Height of each rope's lower side at its points, ``(P,)`` in widths.
+            size: ``(H, W)``.
+            light: Unit vector towards the light, ``(3,)``: right, down, up.
+        """
+        surface = cls.empty(size)
+        for index, (curve, width, raised) in enumerate(zip(curves, widths, lifted, strict=True)):
+            inset, axis = round(width / 2), np.column_stack([curve, (raised + 0.5) * width])
+            balls = resample(axis[inset : len(axis) - inset], _PIECE * width)
+            canvas = np.full(surface.height.shape, np.inf, np.float32)
+            places = np.ascontiguousarray((balls[:, :2] + 0.5) * FINER - 0.5)
+            draw_balls(canvas, places, _FAR - FINER * balls[:, 2], FINER * width / 2, _FAR)
+            top = (_FAR - canvas) / FINER
+            on = top > surface.height
+            surface.height[on], surface.owner[on] = top[on], index
+        down, right = np.gradient(surface.height * FINER)
+        lit = np.maximum((light[2] - light[0] * right - light[1] * down) / np.sqrt(1 + right**2 + down**2), 0)
+        np.multiply(
+            _AMBIENT + _DIFFUSE * lit + _SHINE * lit**24, surface.owner >= 0, out=surface.shade, casting="unsafe"
+        )
+        return surface
 
 
 def unit(vector: Array) -> Array:
@@ -46,36 +76,8 @@ def unit(vector: Array) -> Array:
     return vector / np.linalg.norm(vector)
 
 
-def relief(
-    curves: Sequence[Curve], widths: Sequence[float], lifted: Sequence[Array], size: Size, light: Array
-) -> Relief:
-    """Draw ropes with round tips as cylinders on a table; where ropes overlap the higher surface is seen.
-
-    Args:
-        curves: Axis of each rope from tip to tip, ``(P, 2)`` pixels at steps of a pixel.
-        widths: Thickness of each in pixels.
-        lifted: Height of each rope's lower side at its points, ``(P,)`` in widths.
-        size: ``(H, W)``.
-        light: Unit vector towards the light, ``(3,)``: right, down, up.
-    """
-    surface = Relief.empty(size)
-    for index, (curve, width, raised) in enumerate(zip(curves, widths, lifted, strict=True)):
-        inset, axis = round(width / 2), np.column_stack([curve, (raised + 0.5) * width])
-        balls = resample(axis[inset : len(axis) - inset], _PIECE * width)
-        canvas = np.full(surface.height.shape, np.inf, np.float32)
-        places = np.ascontiguousarray((balls[:, :2] + 0.5) * FINER - 0.5)
-        draw_balls(canvas, places, _FAR - FINER * balls[:, 2], FINER * width / 2, _FAR)
-        top = (_FAR - canvas) / FINER
-        on = top > surface.height
-        surface.height[on], surface.owner[on] = top[on], index
-    down, right = np.gradient(surface.height * FINER)
-    lit = np.maximum((light[2] - light[0] * right - light[1] * down) / np.sqrt(1 + right**2 + down**2), 0)
-    np.multiply(_AMBIENT + _DIFFUSE * lit + _SHINE * lit**24, surface.owner >= 0, out=surface.shade, casting="unsafe")
-    return surface
-
-
 def photographed(
-    rng: np.random.Generator, surface: Relief, scene: Array | Field, light: Array, *, rough: bool
+    rng: np.random.Generator, surface: HeightField, scene: Array | Field, light: Array, *, rough: bool
 ) -> Image:
     """Return the picture of a scene, ``(H, W, 3)`` uint8.
 
@@ -105,7 +107,7 @@ def photographed(
     return np.ascontiguousarray(np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR), np.uint8)[..., ::-1])
 
 
-def _shadows(rng: np.random.Generator, surface: Relief, light: Array, rough: bool) -> Field:
+def _shadows(rng: np.random.Generator, surface: HeightField, light: Array, rough: bool) -> Field:
     """Return how much of the light is missing at each place, 0 to 1.
 
     There is less next to objects, in their shadows, and in the shadow of something outside the picture.
