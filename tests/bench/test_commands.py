@@ -16,7 +16,6 @@ from shape_obs.bench import table
 from shape_obs.bench.report import machine
 from shape_obs.bench.scenes import Sheet, draw_sheet, flat_cloth
 from shape_obs.bench.table import CONFIGURATIONS, LABELS, MEASURES, in_right_order, markdown, pictures, summarised
-from shape_obs.cli import main
 
 IMAGE_STAGES = [
     "image to mask with OpenCV", "mask to points", "image to points", "image and depth to 3D points",
@@ -25,15 +24,8 @@ IMAGE_STAGES = [
 ENV_STAGES = ["step of Cable", "step of Cable with ShapeObservation"]
 
 
-def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[object, str, str]:
-    with pytest.raises(SystemExit) as end:
-        main(["bench", *arguments])
-    out, err = capsys.readouterr()
-    return end.value.code, out, err
-
-
-def test_every_stage_is_timed_at_every_size(capsys: pytest.CaptureFixture[str]):
-    code, out, _ = run(capsys, "speed", "--frames", "4", "--sizes", "84x84", "160x120", "--json")
+def test_every_stage_is_timed_at_every_size(run):
+    code, out, _ = run("bench", "speed", "--frames", "4", "--sizes", "84x84", "160x120", "--json")
     document, images = json.loads(out), ["84 x 84", "160 x 120"]
     expected = [(what, image) for some in (IMAGE_STAGES, ENV_STAGES) for image in images for what in some]
     assert [(row["what"], row["image"]) for row in document["stages"]] == expected
@@ -42,10 +34,10 @@ def test_every_stage_is_timed_at_every_size(capsys: pytest.CaptureFixture[str]):
     assert document["machine"] == machine()
 
 
-def test_without_the_simulator_it_says_what_to_install(capsys, monkeypatch: pytest.MonkeyPatch):
+def test_without_the_simulator_it_says_what_to_install(run, monkeypatch: pytest.MonkeyPatch):
     found = importlib.util.find_spec
     monkeypatch.setattr("shape_obs.cli.bench.speed.find_spec", lambda name: None if name == "mujoco" else found(name))
-    code, out, _ = run(capsys, "speed", "--frames", "2", "--sizes", "160x120")
+    code, out, _ = run("bench", "speed", "--frames", "2", "--sizes", "160x120")
     stages = [line.split(" | ")[0].strip("| ") for line in out.splitlines() if line.startswith("|")][2:]
     assert (code, stages) == (0, IMAGE_STAGES)
     assert out.splitlines()[-1].startswith("simulated steps were not timed, since MuJoCo is not installed: ")
@@ -110,9 +102,9 @@ def test_means_and_intervals_are_those_of_the_episodes_and_the_ranking_is_compar
     assert whole["sc_half"] == pytest.approx(math.hypot(*(row["sc_half"] for row in each)) / 3)
 
 
-def test_the_table_is_written_as_it_is_printed(capsys: pytest.CaptureFixture[str], tmp_path: Path):
+def test_the_table_is_written_as_it_is_printed(run, tmp_path: Path):
     arguments = ["table", "--frames", "10", "--only", "contour", "kmeans", "som", "--out", str(tmp_path), "--json"]
-    code, out, _ = run(capsys, *arguments)
+    code, out, _ = run("bench", *arguments)
     results = json.loads(out)["results"]
     assert (code, [(row["method"], row["frames"]) for row in results]) == (0, [("kmeans", 10), ("som", 10)])
     read = list(csv.DictReader((tmp_path / "table.csv").read_text(encoding="utf-8").splitlines()))

@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -54,14 +53,6 @@ def dying(path, write):
 table.write_whole = dying
 main(sys.argv[1:])
 """
-
-
-def run(capsys, *arguments) -> tuple[object, Any, str]:
-    """Return (exit code, parsed output of --json or None, stderr) of the command, run in this process."""
-    with pytest.raises(SystemExit) as stop:
-        main(["extract", *map(str, arguments), "--json"])
-    captured = capsys.readouterr()
-    return stop.value.code, json.loads(captured.out) if captured.out else None, captured.err
 
 
 def content(folder):
@@ -136,7 +127,7 @@ def test_features_are_those_of_the_vector(place, clean):
     }
 
 
-def test_killed_and_restarted_is_one_clean_run(place, clean, capsys, monkeypatch):
+def test_killed_and_restarted_is_one_clean_run(place, clean, extract, monkeypatch):
     arguments = [str(place / "recorded"), "--config", str(place / "c.yaml"), "-o", str(place / "killed")]
     died = subprocess.run([sys.executable, "-c", KILLED, "extract", *arguments], capture_output=True, timeout=120)
     assert died.returncode == -signal.SIGKILL
@@ -144,36 +135,36 @@ def test_killed_and_restarted_is_one_clean_run(place, clean, capsys, monkeypatch
     half = [name for name in before if name.startswith(".")]
     assert len(half) == 1, "one temporary file"
     assert sum(name.startswith("part-") for name in before) == 7
-    code, report, _ = run(capsys, *arguments)
+    code, report, _ = extract(*arguments)
     assert (code, report["done"], report["kept"], report["failed"]) == (0, COUNT + 1 - 7, 7, [])
     assert (report["frames"], report["ok"]) == ((COUNT + 1) * FRAMES, {"rope": (COUNT + 1) * FRAMES})
     assert content(place / "killed") == content(clean)
-    assert run(capsys, *arguments)[1]["kept"] == COUNT + 1
+    assert extract(*arguments)[1]["kept"] == COUNT + 1
 
 
-def test_processes_give_the_same(place, clean, capsys):
+def test_processes_give_the_same(place, clean, extract):
     sources = sorted((place / "recorded").iterdir())[-3:]
-    code, report, err = run(capsys, *sources, "--config", place / "c.yaml", "-o", place / "two", "--jobs", 2)
+    code, report, err = extract(*sources, "--config", place / "c.yaml", "-o", place / "two", "--jobs", 2)
     assert (code, report["done"]) == (0, 4)
     assert "extracting" in err, "a progress bar"
     assert content(place / "two").items() <= content(clean).items()
 
 
 @pytest.mark.nightly
-def test_ray_gives_the_same(place, clean, capsys, monkeypatch):
+def test_ray_gives_the_same(place, clean, extract, monkeypatch):
     pytest.importorskip("ray")
     monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")  # of somebody's cluster, which the command was not asked to join
     arguments = ["--config", place / "c.yaml", "-o", place / "ray", "--engine", "ray", "--jobs", 2]
     shutil.copytree(place / "recorded" / "r00", place / "bad")
     (place / "bad" / "rgb" / "000001.png").write_bytes(b"junk")
-    code, report, _ = run(capsys, place / "bad", *sorted((place / "recorded").iterdir())[-3:], *arguments)
+    code, report, _ = extract(place / "bad", *sorted((place / "recorded").iterdir())[-3:], *arguments)
     assert (code, report["done"]) == (1, 4)
     assert [failure["source"] for failure in report["failed"]] == [str(place / "bad")]
     found = {name: data for name, data in content(place / "ray").items() if name != "_failures.json"}
     assert found.items() <= content(clean).items()
 
 
-def test_a_damaged_recording_loses_only_itself(place, tmp_path, capsys):
+def test_a_damaged_recording_loses_only_itself(place, tmp_path, extract):
     """An image of one recording is damaged, and the lines of another; of two episodes in a third, only one fails."""
     for name in ("r00", "r01", "r02", "r19"):
         shutil.copytree(place / "recorded" / name, tmp_path / "in" / name)
@@ -183,7 +174,7 @@ def test_a_damaged_recording_loses_only_itself(place, tmp_path, capsys):
     (tmp_path / "in" / "r19" / "depth" / f"{FRAMES:06d}.npy").unlink(missing_ok=True)
     (tmp_path / "in" / "r19" / "depth" / f"{FRAMES:06d}.png").unlink(missing_ok=True)
     arguments = (tmp_path / "in", "--config", place / "c.yaml", "-o", tmp_path / "out")
-    code, report, err = run(capsys, *arguments)
+    code, report, err = extract(*arguments)
     assert (code, report["done"], report["files"]) == (1, 2, 2)
     assert [Path(failure["source"]).name for failure in report["failed"]] == ["r01", "r02", "r19"]
     assert [failure["index"] for failure in report["failed"]] == [0, 0, 1]
@@ -194,19 +185,19 @@ def test_a_damaged_recording_loses_only_itself(place, tmp_path, capsys):
     (tmp_path / "in" / "r01" / "rgb" / "000002.png").write_bytes(whole)
     shutil.rmtree(tmp_path / "in" / "r02")
     shutil.rmtree(tmp_path / "in" / "r19")
-    code, report, _ = run(capsys, *arguments)
+    code, report, _ = extract(*arguments)
     assert (code, report["done"], report["kept"], report["failed"]) == (0, 1, 1, [])
     assert not (tmp_path / "out" / "_failures.json").exists()
 
 
-def test_what_changed_is_done_again_or_refused(place, tmp_path, capsys):
+def test_what_changed_is_done_again_or_refused(place, tmp_path, extract):
     shutil.copytree(place / "recorded" / "r00", tmp_path / "in" / "a")
     shutil.copytree(place / "recorded" / "r19", tmp_path / "in" / "b")
     arguments = (tmp_path / "in", "--config", place / "c.yaml", "-o", tmp_path / "out")
-    assert run(capsys, *arguments)[1]["done"] == 3
+    assert extract(*arguments)[1]["done"] == 3
     shutil.rmtree(tmp_path / "in" / "b")
     shutil.copytree(place / "recorded" / "r05", tmp_path / "in" / "b")  # one episode where there were two
-    report = run(capsys, *arguments)[1]
+    report = extract(*arguments)[1]
     assert (report["done"], report["kept"], report["files"]) == (1, 1, 2)
     assert len(dataset.dataset(tmp_path / "out", format="parquet").to_table()) == 2 * FRAMES
     before = content(tmp_path / "out")
@@ -214,17 +205,17 @@ def test_what_changed_is_done_again_or_refused(place, tmp_path, capsys):
         (("--features", "centroid"), "with config_hash "),
         (("--frames", "2"), "with frames None, this run has 2: choose another --out, or remove the folder."),
     ):
-        code, report, err = run(capsys, *arguments, *extra)
+        code, report, err = extract(*arguments, *extra)
         assert (code, report) == (1, None)
         assert message in err
     assert content(tmp_path / "out") == before
     # Recordings that come later join the others.
     shutil.copytree(place / "recorded" / "r07", tmp_path / "in" / "c")
-    report = run(capsys, *arguments)[1]
+    report = extract(*arguments)[1]
     assert (report["done"], report["kept"]) == (1, 2)
 
 
-def test_bad_input_gets_one_clear_line(place, clean, tmp_path, capsys):
+def test_bad_input_gets_one_clear_line(place, clean, tmp_path, extract):
     good = (place / "recorded" / "r00", "--config", place / "c.yaml", "-o", tmp_path / "out")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "notes.txt").write_text("notes")
@@ -238,7 +229,7 @@ def test_bad_input_gets_one_clear_line(place, clean, tmp_path, capsys):
         ((*good, "--features", "centriod"), "centroid"),
         ((*good, "--extrinsics", "none.json"), "none.json: no such file of extrinsics"),
     ):
-        code, report, err = run(capsys, *arguments)
+        code, report, err = extract(*arguments)
         lines = [line for line in err.replace("\r", "\n").splitlines() if line.startswith("shape-obs extract: ")]
         wrong_usage = {"--jobs", "--address", "--features"} & set(map(str, arguments))
         assert (code, report) == (2 if wrong_usage else 1, None), arguments

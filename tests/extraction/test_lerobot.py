@@ -6,7 +6,6 @@ import json
 import shutil
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -29,14 +28,6 @@ from shape_obs_envs.sources import open_source
 N, LENGTH = 8, 5
 ROPE = {"kind": "centerline", "name": "rope", "n": N, "anchor": "gripper0", "ends": "tips", "spacing": "m"}
 BLUE = {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}
-
-
-def run(capsys: Any, *arguments: Any) -> tuple[Any, Any, str]:
-    """Return (exit code, parsed output of --json or None, stderr) of `shape-obs extract`, run in this process."""
-    with pytest.raises(SystemExit) as stop:
-        main(["extract", *map(str, arguments), "--json"])
-    captured = capsys.readouterr()
-    return stop.value.code, json.loads(captured.out) if captured.out else None, captured.err
 
 
 def read(made, name):
@@ -186,27 +177,25 @@ def test_videos_show_the_frames_of_the_rows(place, made):
     assert np.asarray(read(made, "stats")["observation.images.camera"]["mean"]).shape == (3, 1, 1)
 
 
-def test_a_second_run_keeps_the_shapes_and_replaces_the_dataset(place, made, tmp_path, capsys):
+def test_a_second_run_keeps_the_shapes_and_replaces_the_dataset(place, made, tmp_path, extract):
     out = tmp_path / "again"
     shutil.copytree(made, out)
     (out / ".lerobot.0123").mkdir()  # left by a run that was killed
     before = {path.name: path.stat().st_mtime_ns for path in (out / "extraction").iterdir()}
-    code, result, err = run(
-        capsys, place / "r0", "--config", place / "c.yaml", "--to", "lerobot", "-o", out, "--fps", 10
-    )
+    code, result, err = extract(place / "r0", "--config", place / "c.yaml", "--to", "lerobot", "-o", out, "--fps", 10)
     assert (code, result["kept"], result["lerobot"]["episodes"]) == (0, 2, 2), err
     assert {name: (out / "extraction" / name).stat().st_mtime_ns for name in before} == before
     assert read(out, "info")["fps"] == 10
     assert sorted(path.name for path in out.iterdir()) == ["data", "extraction", "meta"]
 
 
-def test_recordings_without_a_robot_give_observations_only(place, tmp_path, capsys):
+def test_recordings_without_a_robot_give_observations_only(place, tmp_path, extract):
     with open_source(place / "r0") as source, RecordingWriter(tmp_path / "flat", source, depth=False) as writer:
         for _ in range(4):
             writer.add(Moment(source.read(), {"gripper0": (20.0, 30.0)}))
     save_config(tmp_path / "c.yaml", {"shapes": [{"kind": "centerline", "n": N}], "segmentation": BLUE})
-    code, result, err = run(
-        capsys, tmp_path / "flat", "--config", tmp_path / "c.yaml", "--to", "lerobot", "-o", tmp_path / "out"
+    code, result, err = extract(
+        tmp_path / "flat", "--config", tmp_path / "c.yaml", "--to", "lerobot", "-o", tmp_path / "out"
     )
     assert code == 0, err
     assert result["lerobot"]["frames"] == 4
@@ -224,21 +213,21 @@ def test_recordings_without_a_robot_give_observations_only(place, tmp_path, caps
         (["--to", "lerobot", "-o", "r0"], 1, "r0: the folder is not empty, and holds no extraction"),
     ],
 )
-def test_mistakes_are_reported_before_the_work(place, capsys, monkeypatch, arguments, wanted, message):
+def test_mistakes_are_reported_before_the_work(place, extract, monkeypatch, arguments, wanted, message):
     monkeypatch.chdir(place)
     out = [] if "-o" in arguments else ["-o", "new"]
-    code, result, err = run(capsys, "r0", "--config", "c.yaml", *arguments, *out)
+    code, result, err = extract("r0", "--config", "c.yaml", *arguments, *out)
     assert (code, result) == (wanted, None)
     assert message in err
     assert not Path("new").exists()
 
 
-def test_recordings_of_unlike_robots_are_refused(place, tmp_path, capsys):
+def test_recordings_of_unlike_robots_are_refused(place, tmp_path, extract):
     options = {"actions": "random", "renderer": "rays", "camera": (96, 72), "grippers": 1}
     with open_source("ShapeObs/Cable-v0", seed=0, **options) as source:
         record(source, tmp_path / "one", frames=3)
-    code, _, err = run(
-        capsys, place / "r0", tmp_path / "one", "--config", place / "c.yaml", "--to", "lerobot", "-o", tmp_path / "out"
+    code, _, err = extract(
+        place / "r0", tmp_path / "one", "--config", place / "c.yaml", "--to", "lerobot", "-o", tmp_path / "out"
     )
     assert code == 1
     assert "its action, observation.state differ from those of the episodes before" in err
@@ -260,14 +249,12 @@ def write_run(folder, spec, transitions):
 
 
 @pytest.mark.parametrize(("mode", "still"), [("displacement", [0.0, 0.0]), ("position", [0.5, 1.0])])
-def test_where_nothing_was_sent_the_action_keeps_the_robot_still(tmp_path, capsys, mode, still):
+def test_where_nothing_was_sent_the_action_keeps_the_robot_still(tmp_path, extract, mode, still):
     spec = ActionSpec(("x", "y"), ("m", "m"), (0.2, 0.2), (-1.0, -1.0), (1.0, 1.0), mode=mode)
     steps = [Transition(1, (0.5, -0.5), 0.0), Transition(2, None, 0.0), Transition(3, (1.0, 0.0), 1.0, True)]
     write_run(tmp_path / "run", spec, [Transition(0), *steps])
     save_config(tmp_path / "c.yaml", {"shapes": [{"kind": "centerline", "n": N}], "segmentation": BLUE})
-    code, _, err = run(
-        capsys, tmp_path / "run", "--config", tmp_path / "c.yaml", "--to", "lerobot", "-o", tmp_path / "out"
-    )
+    code, _, err = extract(tmp_path / "run", "--config", tmp_path / "c.yaml", "--to", "lerobot", "-o", tmp_path / "out")
     assert code == 0, err
     table = rows(tmp_path / "out")
     assert array(table, "action").tolist() == [[0.5, -0.5], still, [1.0, 0.0]]
@@ -276,13 +263,11 @@ def test_where_nothing_was_sent_the_action_keeps_the_robot_still(tmp_path, capsy
     assert np.allclose(array(table, "observation.state")[:, -2:], (0.1, 0.2))
 
 
-def test_frames_before_a_dropped_one_are_left_out_and_reported(tmp_path, capsys):
+def test_frames_before_a_dropped_one_are_left_out_and_reported(tmp_path, extract):
     spec = ActionSpec(("x", "y"), ("m", "m"), (0.2, 0.2), (-1.0, -1.0), (1.0, 1.0))
     write_run(tmp_path / "run", spec, [Transition(0), *(Transition(i, (i / 10, 0.0), 0.0) for i in (1, 3, 4))])
     save_config(tmp_path / "c.yaml", {"shapes": [{"kind": "centerline", "n": N}], "segmentation": BLUE})
-    code, _, err = run(
-        capsys, tmp_path / "run", "--config", tmp_path / "c.yaml", "--to", "lerobot", "-o", tmp_path / "out"
-    )
+    code, _, err = extract(tmp_path / "run", "--config", tmp_path / "c.yaml", "--to", "lerobot", "-o", tmp_path / "out")
     assert code == 0
     assert "1 frames are left out: the frame after them was dropped" in err
     assert array(rows(tmp_path / "out"), "action")[:, 0].tolist() == [np.float32(0.1), np.float32(0.4)]
