@@ -18,11 +18,28 @@ from shape_obs import (
     GrayRange,
     HSVRange,
     Intrinsics,
+    Polygon,
+    Rectangle,
     ShapeDetector,
     ShapeLostError,
+    Surface,
 )
+from shape_obs.calibration.hand_eye import fit_base
+from shape_obs.config.detector_config import DetectorConfig
+from shape_obs.features import EllipticFourier, Points3D
+from shape_obs.markers.sheet import marker_pages
+from shape_obs.metrics import silhouette
+from shape_obs.recording import OverlayVideo
+from shape_obs.servo import ShapeServo
+from shape_obs.source import BadRecording
+from shape_obs_envs.mujoco.randomization import Randomization
+from shape_obs_envs.mujoco.randomization.hand_occluder import Hand
+from shape_obs_envs.robots.frame_publisher import Faults
+from shape_obs_envs.sources import FolderSource, VideoSource
+from shape_obs_envs.sources.realsense.settings import check_filters
 
 BLUE = HSVRange((100, 100, 60), (125, 255, 255))
+LENS = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
 
 
 @pytest.fixture(autouse=True)
@@ -77,6 +94,43 @@ def test_a_refused_frame_leaves_the_track_alone(blue):
     with pytest.raises(ValueError, match="stamp"):
         detector.detect(blue, stamp=float("nan"))
     assert detector.detect(blue).stamp == pytest.approx(1 / 30)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Surface(rows=1), "rows and cols must lie in 2...100, got 1 and"),
+        (lambda: Surface(epochs=101), "epochs must lie in 0...100, got 101"),
+        (lambda: Surface(freedom=0), "freedom must lie above 0, up to 1, got 0"),
+        (lambda: GrayRange(open=-1), "open and close must be >= 0 and min_area >= 1"),
+        (lambda: GrayRange(min_share=2.0), "min_share must lie in 0...1, got 2.0"),
+        (lambda: Rectangle(0, 0, 0, 9), "width and height must be positive, got 0 x 9"),
+        (lambda: Polygon(((0, 0), (9, 9))), "needs at least three corners, got 2"),
+        (lambda: Polygon(((0, 0), (9, 9), (0, np.inf))), "corners must be finite"),
+        (lambda: Points3D(frame="anchor", origin="centroid"), "frame 'anchor' already has an origin"),
+        (lambda: EllipticFourier(harmonics=0), "needs at least 1 harmonic, got 0"),
+        (lambda: DetectorConfig(shapes=()), "expected at least one configuration, got none"),
+        (lambda: Randomization.of({"hand": 1}), "hand: expected True, False or a mapping of its fields"),
+        (lambda: Randomization.of({"others": 1}), "others: expected True or False, got 1"),
+        (lambda: Hand(speed=(0.1, 0.05)), r"hand.speed: expected two numbers within 0.005 ... 0.3, got \(0.1"),
+        (lambda: check_filters("spatial"), r"expected a sequence of names, got 'spatial'; write \('spatial',\)"),
+        (lambda: check_filters(("sharpen",)), "filters: expected .*'hole_filling', got 'sharpen'"),
+        (lambda: CameraModel(LENS).to_base((0, 0, 1)), "this needs the camera's place in the base frame"),
+        (lambda: fit_base(np.zeros((4, 2)), np.zeros((4, 2))), r"expected two arrays of shape \(K, 3\), got \(4, 2"),
+        (lambda: fit_base(np.full((4, 3), np.nan), np.eye(4)[:, :3]), "expected finite metres"),
+        (lambda: silhouette(np.eye(9), np.arange(9) % 2, sample=0), "sample: expected None or at least 1, got 0"),
+        (lambda: ShapeServo("mfac", 2, weights="deal"), r"weights are 'noise', a matrix \(M,F\) or None, got 'deal'"),
+        (lambda: marker_pages((0,), 3), "markers of 3 mm are too small to print: give at least"),
+        (lambda: OverlayVideo("o.txt"), "o.txt: expected a video named "),
+        (lambda: VideoSource("none.mp4").connect(), "none.mp4: no such file"),
+        (lambda: FolderSource("none").connect(), "none: no such folder"),
+        (lambda: Faults(drop=0.7, black=0.7), "shares from 0 to 1, with a sum of at most 1"),
+        (lambda: Faults(drop=-0.1), "shares from 0 to 1, with a sum of at most 1, got drop=-0.1"),
+    ],
+)  # fmt: skip
+def test_a_value_that_cannot_be_right_is_refused_where_it_is_given(make, message):
+    with pytest.raises((ValueError, BadRecording), match=message):
+        make()
 
 
 def test_what_a_rule_reads_must_be_there(blue):

@@ -23,11 +23,13 @@ COMMAND_LINES += [f"{group} {part}" for group, parts in GROUPS.items() for part 
 WRONG = {
     "demo": ["--steps 0", "--steps x", "--camera d435x", "--seed -1"],
     "detect": ["", "a.png", "a.png --hsv 1 2 3", "a.png --config c.yaml --pick 1,2", "a.png --pick 1,2 --n 4x",
-               "a.png --pick 1", "a.png --pick 1,2 --depth d.png"],
+               "a.png --pick 1", "a.png --pick 1,2 --depth d.png", "a.png --pick 1,2 --count many",
+               "a.png --pick 1,2 --depth d.png e.png", "a.png --pick 1,2 --shape surface --n 20"],
     "tune": ["", "photos --port 70000", "photos --depth {file}", "photos --intrinsics 1 1 1 1", "photos --set a"],
     "record": ["--source d455", "--source d455 -o r --frames 0", "--source d455 -o r --set a",
                "--source photos -o r.db3"],
-    "replay": ["", "rec", "rec --verify --frames 0", "rec --config {file} --csv a.npz"],
+    "replay": ["", "rec", "rec --verify --frames 0", "rec --config {file} --csv a.npz",
+               "rec --config {file} --npz a.csv"],
     "view": ["", "rec --out v.mp4", "rec --frames 0"],
     "extract": ["rec -o d", "--config {file} -o d", "rec --config {file} -o d --jobs 0",
                 "rec --config {file} -o d --address a"],
@@ -124,7 +126,7 @@ def test_every_command_is_tested_here():
     assert set(WRONG) == {*FAILS, "bench speed"} == set(COMMAND_LINES)  # which reads and writes no file
 
 
-def test_wrong_usage_ends_with_2_before_anything_slow_is_imported(tmp_path):
+def test_wrong_usage_ends_with_2_before_anything_slow_is_imported(tmp_path, run, monkeypatch):
     file = tmp_path / "file.yaml"
     file.write_text("{}")
     lines = [[*name.split(), *one.format(file=file).split()] for name, several in WRONG.items() for one in several]
@@ -135,6 +137,8 @@ def test_wrong_usage_ends_with_2_before_anything_slow_is_imported(tmp_path):
         assert err.strip(), line
         assert not loaded, line
     assert [path.name for path in tmp_path.iterdir()] == ["file.yaml"]
+    monkeypatch.chdir(tmp_path)
+    assert {run(*line)[0] for line in lines} == {2}, "in a process that has run commands before"
 
 
 @pytest.mark.parametrize("name", FAILS)

@@ -55,6 +55,7 @@ def test_the_file_has_a_version_and_three_sections(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("[]\n", "expected 'version', 'shape', 'scene' and 'runtime', got list."),
         ("version: 2\n", "expected 'version: 1', got 2."),
         ("shape: {}\n", "expected 'version: 1', got None."),
         ("a: [1\n", "not valid YAML: "),

@@ -120,6 +120,12 @@ class TestFile:
         with pytest.raises(ValueError, match=message):
             PrincipalComponents(file)
 
+    def test_it_is_for_one_frame_and_one_layout(self, file, overhead):
+        with pytest.raises(ValueError, match="was fitted with frame 'base', but frame='camera' was requested: leave"):
+            PrincipalComponents(file, frame="camera")
+        with pytest.raises(ValueError, match=r"was fitted to shapes of Chain\(count=20\), but this one is Chain\(cou"):
+            PrincipalComponents(file).bounds(Chain(9), FeatureContext(320, 240, overhead, WORKSPACE))
+
 
 @pytest.fixture
 def view(overhead) -> FeatureContext:

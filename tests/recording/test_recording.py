@@ -185,6 +185,9 @@ def test_a_full_disk_is_reported_and_what_is_written_is_kept(tmp_path):
         ("depth/000003.png", "remove", r"depth/000003\.png: cannot be read \(No such file or directory\)"),
         ("camera.json", "remove", r"camera\.json: missing"),
         ("camera.json", "cut", r"camera\.json: cannot be read"),
+        ("camera.json", "list", r"camera\.json: expected a file with format 'shape_obs recording'"),
+        ("camera.json", "newer", r"camera\.json: expected version \d, got 9: update shape-obs"),
+        ("frames.jsonl", "number", r"frames\.jsonl, line 4: damaged"),
         ("frames.jsonl", "remove", r"frames\.jsonl: cannot be read"),
         ("frames.jsonl", "line", r"frames\.jsonl, line 4: damaged"),
         ("frames.jsonl", "fewer", r"frames\.jsonl: 19 frames, but its last line counts 20"),
@@ -194,15 +197,20 @@ def test_damaged_files_are_named(recorded, tmp_path, name, damage, message):
     folder = tmp_path / "damaged"
     shutil.copytree(recorded, folder)
     path = folder / name
-    data = path.read_bytes()
-    lines = data.split(b"\n")
-    if damage == "remove":
-        path.unlink()
-    elif damage in ("line", "fewer"):
-        path.write_bytes(b"\n".join([*lines[:3], *([b"{oops"] if damage == "line" else []), *lines[4:]]))
-    else:
-        half = len(data) // 2
-        path.write_bytes(data[:half] + (b"" if damage == "cut" else bytes([data[half] ^ 255]) + data[half + 1 :]))
+    data, half = path.read_bytes(), path.stat().st_size // 2
+    before, after = data.split(b"\n")[:3], data.split(b"\n")[4:]
+    damaged = {
+        "cut": data[:half],
+        "flip": data[:half] + bytes([data[half] ^ 255]) + data[half + 1 :],
+        "line": b"\n".join([*before, b"{oops", *after]),
+        "number": b"\n".join([*before, b"4", *after]),
+        "fewer": b"\n".join([*before, *after]),
+        "list": b"[]",
+        "newer": b'{"format": "shape_obs recording", "version": 9}',
+    }
+    path.unlink()
+    if damage != "remove":
+        path.write_bytes(damaged[damage])
     with pytest.raises(BadRecording, match=message), FolderSource(folder) as source:
         list(read_moments(source, 4))
 
