@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
+from shape_obs.clustering.base import Clusterer
 from shape_obs.compiled import compile_now
 from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.configurations.anchors import Anchors
@@ -24,6 +25,7 @@ from shape_obs.frame import Frame
 from shape_obs.geometry.crossings import Crossing
 from shape_obs.geometry.intersections import crossing_table, find_crossings, joined
 from shape_obs.geometry.observed import Observed
+from shape_obs.geometry.polyline import nearest_along
 from shape_obs.image.find_region import prepare
 from shape_obs.image.mask_check import check_given_mask
 from shape_obs.image.mask_hints import MaskHints, UnitCheck
@@ -90,6 +92,8 @@ class ShapeDetector:
         functions += (function for spec in self.shapes for function in spec.compiled_functions)
         if any(spec.count is not None for spec in self.config.shapes):
             functions += SLOT_FUNCTIONS
+        if isinstance(self.config.clustering, Clusterer):
+            functions.append(nearest_along)  # the centres are put in order along the form
         compile_now(functions)
         if any(spec.lift == "cloud" for spec in self.shapes):
             import_module("shape_obs.point_cloud.deprojection")  # so that the first frame does not wait for it

@@ -244,11 +244,12 @@ def nearest_on(curve: Array, points: Array) -> tuple[Array, Array]:
     curve, points = (np.ascontiguousarray(each, dtype=np.float64) for each in (curve, points))
     if len(curve) < 2:
         raise ValueError(f"curve: expected at least two points, got {len(curve)}.")
-    return _nearest_on(curve, arc_length(curve), points)
+    return nearest_along(curve, arc_length(curve), points)
 
 
 @compiled("(f8[:,::1], f8[::1], f8[:,::1])")
-def _nearest_on(curve: Array, arc: Array, points: Array) -> tuple[Array, Array]:
+def nearest_along(curve: Array, arc: Array, points: Array) -> tuple[Array, Array]:
+    """Return what ``nearest_on`` does, for a curve of known arc lengths ``(P,)``."""
     at, distance = np.full(len(points), np.nan), np.full(len(points), np.nan)
     for n in range(len(points) if np.isfinite(arc[-1]) else 0):
         square, p, share = nearest_piece(curve, points[n], 0, len(curve) - 1)

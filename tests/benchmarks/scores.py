@@ -275,7 +275,7 @@ VISIBLE: Final[dict[str, Column]] = {
     "worst [gaps]": of(worst, "worst"),
 }
 VISIBLE_LIMITS: Final = (
-    Limit("slips [%]", at_most=1, unit="%"),
+    Limit("slips [%]", at_most=1, unit="%", sampled=5),
     Limit("refused [%]", at_most=2, unit="%"),
     Limit("seen [%]", at_least=90, unit="%"),
 )

@@ -101,7 +101,7 @@ _LIMITS: Final = (
     Limit("in sight, inside [%]", at_least=85, unit="%", where=_WHOLE),
     Limit("hidden, inside [%]", at_least=85, unit="%", where=_WHOLE),
     Limit("in sight, inside [%]", at_most=95, unit="%", where=_WHOLE, sampled=100),
-    Limit("wrong [%]", at_most=0.2, unit="%", where=_WHOLE, sampled=0.5),
+    Limit("wrong [%]", at_most=0.2, unit="%", where=_WHOLE, sampled=1),
     Limit("in sight, inside [%]", at_least=60, unit="%"),
 )
 _KNOWN: Final = tuple(replace(each, known=_FLAT) for each in _LIMITS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 
@@ -93,10 +94,13 @@ class TestRunner:
         assert (one["share"], one["seed"], two["share"], two["seed"]) == (0.5, 0, 1.0, 4)
         assert two["rows"][-1] == {"kind": "all", "off": 45, "none": None}
         assert {"python", "numpy", "processor"} <= set(results["machine"])
-        command("--page", str(tmp_path / "page.md"))
-        page = (tmp_path / "page.md").read_text()
-        assert "## numbers.one" in page
-        assert "| all  | 45  | -    |" in page
+        page = tmp_path / "page.md"
+        command("--page", str(page))
+        command("numbers.one", "--share", "0.2", **limits)
+        page.write_text(f"Words before.\n{page.read_text()}Words after.\n")
+        command("--page", str(page))
+        found = re.findall(r"Share [\d.]+|Words \w+", page.read_text())
+        assert found == ["Words before", "Share 0.2", "Share 1", "Words after"]
 
     def test_a_wrong_name_is_an_error(self, command, capsys):
         with pytest.raises(SystemExit) as stop:

@@ -20,6 +20,7 @@ from shape_obs.bench.photos import photographed
 from shape_obs.bench.scenes import moving_blob, moving_rope, moving_sheet
 from shape_obs.compiled import decorator
 from shape_obs.configurations.shape_points import SHAPE_FUNCTIONS
+from shape_obs.geometry.polyline import nearest_along
 from shape_obs.image.find_region import prepare
 from shape_obs.tracking.prediction import TRACK_FUNCTIONS
 from tests.scenes.blobs import random_blob
@@ -157,7 +158,8 @@ def main(kind: str) -> None:
         ok += kind == "surface" and detectors[2].detect_cloud(cloud).shapes[0].ok
     rules = [spec.segmentation for spec in detector.shapes]
     fits = {function for one in detectors for function in one.shapes[0].compiled_functions}
-    listed = [*prepare(rules), *SHAPE_FUNCTIONS, *TRACK_FUNCTIONS, *fits]
+    sorting = [] if kind == "surface" else [nearest_along]  # of the K-means' centres, along a curve
+    listed = [*prepare(rules), *SHAPE_FUNCTIONS, *TRACK_FUNCTIONS, *fits, *sorting]
     names = sorted(function.__name__ for function in listed)
     print(json.dumps({"called": sorted(called), "listed": names, "late": sorted(late), "ok": int(ok)}))
 
