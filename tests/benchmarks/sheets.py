@@ -107,7 +107,7 @@ def seen_points(scenes: Iterable[FlatScene], view: View, with_depth: bool) -> It
         yield claimed(shape, off, errors, true[..., 5].ravel() > 0.5, scene.shown, name)
 
 
-_FOLDED: Final = "a folded cloth is often refused, and small ones slip"
+_UNFOLDED: Final = {"motion": tuple(f"{name}{end}" for name in ("tilted", "corner up") for end in ("", ", no wall"))}
 CLAIMS: Final = (
     Claim(
         "sheets.cold", "Bent cloths of all aspects and orientations, cold, with each lattice in both `ends` modes.",
@@ -141,7 +141,8 @@ CLAIMS: Final = (
     *(
         Claim(f"sheets.space.{name}", f"Cloths that are tilted, bent up at a corner, or folded: depth {name}.",
               swings(_CLOTH, seen_points, get_args(Motion), noise, (*VIEWS, View(wall=False))), hidden_row,
-              ("rows", "motion"), VISIBLE, limits=tuple(replace(each, known=_FOLDED) for each in VISIBLE_LIMITS))
+              ("rows", "motion"), VISIBLE,
+              limits=(*(replace(each, where=_UNFOLDED) for each in VISIBLE_LIMITS), Limit("slips [%]", at_most=4)))
         for name, noise in (("exact", False), ("noisy", True))
     ),
 )  # fmt: skip
