@@ -24,18 +24,18 @@ from shape_obs import (
     ShapeLostError,
     Surface,
 )
-from shape_obs.calibration.hand_eye import fit_base
+from shape_obs.calibration.hand_eye import fit_base, marker_points
 from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.features import EllipticFourier, Points3D
 from shape_obs.markers.sheet import marker_pages
 from shape_obs.metrics import silhouette
 from shape_obs.recording import OverlayVideo
 from shape_obs.servo import ShapeServo
-from shape_obs.source import BadRecording
+from shape_obs.source import SourceError
 from shape_obs_envs.mujoco.randomization import Randomization
 from shape_obs_envs.mujoco.randomization.hand_occluder import Hand
 from shape_obs_envs.robots.frame_publisher import Faults
-from shape_obs_envs.sources import FolderSource, VideoSource
+from shape_obs_envs.sources import FolderSource, VideoSource, WebcamSource
 from shape_obs_envs.sources.realsense.settings import check_filters
 
 BLUE = HSVRange((100, 100, 60), (125, 255, 255))
@@ -78,6 +78,7 @@ def test_a_wrong_frame_is_reported(blue, arguments, error, message):
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
+        ({"mask": np.zeros((2, 2, 2, 2), bool)}, ValueError, r"got \(2, 2, 2, 2\)\."),
         ({"mask": None}, TypeError, "mask: expected a numpy array of bool or uint8, got NoneType"),
         ({"depth": np.zeros((9, 9), np.uint16)}, ValueError, "the mask has 320 x 240 pixels, depth 9 x 9: they must"),
         ({"camera": Intrinsics(9, 9, 1, 1, 0, 0)}, ValueError, "the camera's intrinsics 9 x 9: they must be equal"),
@@ -122,6 +123,8 @@ def test_a_refused_frame_leaves_the_track_alone(blue):
         (lambda: ShapeServo("mfac", 2, weights="deal"), r"weights are 'noise', a matrix \(M,F\) or None, got 'deal'"),
         (lambda: marker_pages((0,), 3), "markers of 3 mm are too small to print: give at least"),
         (lambda: OverlayVideo("o.txt"), "o.txt: expected a video named "),
+        (lambda: marker_points(np.eye(4)[:, :2] * 9, LENS, np.zeros((480, 640))), "not enough depth on the marker"),
+        (lambda: WebcamSource("/dev/none").connect(), "there is no /dev/none"),
         (lambda: VideoSource("none.mp4").connect(), "none.mp4: no such file"),
         (lambda: FolderSource("none").connect(), "none: no such folder"),
         (lambda: Faults(drop=0.7, black=0.7), "shares from 0 to 1, with a sum of at most 1"),
@@ -129,7 +132,7 @@ def test_a_refused_frame_leaves_the_track_alone(blue):
     ],
 )  # fmt: skip
 def test_a_value_that_cannot_be_right_is_refused_where_it_is_given(make, message):
-    with pytest.raises((ValueError, BadRecording), match=message):
+    with pytest.raises((ValueError, SourceError), match=message):
         make()
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from shape_obs.clustering.som import batch_epochs
+from shape_obs.clustering.som import batch_epochs, best_matching_units
 from shape_obs.geometry.topology import Chain, Grid, Ring
 
 
@@ -28,7 +28,7 @@ def epoch(points, weight, nodes, offsets, sigma):
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([Chain(7), Ring(9), Grid(3, 4)]), st.integers(2, 3))
-def test_epochs_are_weighted_local_fits(seed, topology, dimension):
+def test_epochs_are_weighted_local_fits_over_the_nearest_nodes(seed, topology, dimension):
     rng = np.random.default_rng(seed)
     points, weight = rng.uniform(0, 100, (60, dimension)), rng.uniform(1, 5, 60)
     nodes = rng.uniform(0, 100, (topology.size, dimension))
@@ -37,3 +37,6 @@ def test_epochs_are_weighted_local_fits(seed, topology, dimension):
         expected = epoch(points, weight, expected, topology.offsets(), sigma)
     found = batch_epochs(points, weight, nodes, shape, isinstance(topology, Ring), np.array([0.8, 0.6]))
     np.testing.assert_allclose(found, expected, atol=1e-5)
+    units = best_matching_units.py_func(points, nodes)  # pyright: ignore[reportFunctionMemberAccess]
+    away = cdist(points, nodes)
+    np.testing.assert_allclose(away[np.arange(60), units], away.min(axis=1), atol=1e-3)  # in single precision

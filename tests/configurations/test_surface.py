@@ -167,9 +167,9 @@ def tilted(request):
     return points, mask, np.where(mask > 0, noisy, 1.5), request.param
 
 
-@pytest.mark.parametrize(
+@pytest.mark.parametrize(  # equal gaps in the image are not equal on the cloth
     ("options", "most"),
-    [({"spacing": "m"}, 1.5), ({"lift": "cloud"}, 2), ({}, 8)],  # equal gaps in the image are not equal on the cloth
+    [({"spacing": "m"}, 1.5), ({"lift": "cloud"}, 2), ({"lift": "cloud", "epochs": 1}, 3), ({}, 8)],
 )
 def test_points_of_a_tilted_cloth_lie_on_its_material_in_space(tilted, options, most):
     points, mask, depth, tilt = tilted

@@ -122,9 +122,11 @@ class TestFile:
 
     def test_it_is_for_one_frame_and_one_layout(self, file, overhead):
         with pytest.raises(ValueError, match="was fitted with frame 'base', but frame='camera' was requested: leave"):
-            PrincipalComponents(file, frame="camera")
+            PrincipalComponents(Path(file), frame="camera")  # type: ignore[arg-type]
         with pytest.raises(ValueError, match=r"was fitted to shapes of Chain\(count=20\), but this one is Chain\(cou"):
             PrincipalComponents(file).bounds(Chain(9), FeatureContext(320, 240, overhead, WORKSPACE))
+        with pytest.raises(ValueError, match=r"expected 4 values, got shape \(3,\)"):
+            PointDistribution.load(file).points(np.zeros(3))
 
 
 @pytest.fixture

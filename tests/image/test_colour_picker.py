@@ -73,6 +73,8 @@ def test_a_click_that_is_not_on_the_object_excludes_what_is_there(two_ropes):
     found = propose_segmentation(photo, [(160, 70)], [(160, 170)]).mask
     assert overlap(found, red) > 0.8
     assert not found[170, 160]
+    large = propose_segmentation(cv2.resize(photo, (1280, 960)), [(640, 280)], [(640, 680)]).mask
+    assert overlap(large, cv2.resize(red.astype(np.uint8), (1280, 960)) > 0) > 0.8
 
 
 def test_what_cannot_be_excluded_is_named():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shape_obs import Centerline, DepthRange, HSVRange, Rectangle, ShapeDetector
+from shape_obs import Centerline, DepthRange, GrayRange, HSVRange, Rectangle, ShapeDetector
 from shape_obs.image import mask_hints
 
 BLUE = HSVRange((100, 100, 60), (125, 255, 255))
@@ -33,7 +33,8 @@ def test_swapped_channels(blue, wave):
     )
 
 
-def test_a_hue_in_degrees(blue, wave):
+def test_a_hue_in_degrees_and_gray_from_0_to_1(blue, wave):
+    assert f"its bounds look like 0...1, but gray is 0...255; {PICK}" in reason_of(GrayRange(0, 1), blue)
     green, count = painted(blue, (40, 180, 60)), np.count_nonzero(wave.mask)
     assert (
         f"with half the hue {count} would: OpenCV's scale is h 0...179, s and v 0...255; give low=(55, 100, 60), "
