@@ -75,9 +75,10 @@ def test_what_is_wrong_with_a_file_is_reported(tmp_path, change, message):
 def test_damaged_and_missing_files(tmp_path):
     path = tmp_path / "e.json"
     extrinsics().save(path)
-    path.write_text(path.read_text()[:200])
-    with pytest.raises(SpecError, match=r"e.json: not valid JSON"):
-        Extrinsics.load(path)
+    for text, message in ((path.read_text()[:200], "not valid JSON"), ("[]", "expected ")):
+        path.write_text(text)
+        with pytest.raises(SpecError, match=rf"e.json: .*{message}"):
+            Extrinsics.load(path)
     with pytest.raises(FileNotFoundError, match="no such extrinsics file"):
         Extrinsics.load(tmp_path / "other.json")
 

@@ -125,6 +125,7 @@ def test_a_function_in_the_current_folder_segments(photo, run, monkeypatch):
         ("rope.png --pick 5,5", 1, "of the image looks like (5, 5)"),
         ("rope.png HSV --depth a.png", 2, "--depth needs --intrinsics"),
         ("rope.png o/rope.png HSV", 2, "several images are named 'rope'"),
+        ("rope.png HSV --count 0", 2, "count"),
         ("rope.png HSV --n 4x8", 2, "--n: a centerline has one number of points such as 20, got '4x8'"),
         ("rope.png HSV --out rope.png/o", 1, "cannot make the output folder rope.png/o"),
         ("rope.png --segmentation my_masks:bleu", 1, "module 'my_masks' has no 'bleu'; did you mean 'blue'?"),
