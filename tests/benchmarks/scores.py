@@ -275,11 +275,11 @@ VISIBLE: Final[dict[str, Column]] = {
     "worst [gaps]": of(worst, "worst"),
 }
 VISIBLE_LIMITS: Final = (
-    Limit("slips [%]", at_most=1, unit="%", sampled=5),
+    Limit("slips [%]", at_most=1, unit="%", where={"rows": 480}),
+    Limit("slips [%]", at_most=3, unit="%", where={"rows": 120}, sampled=10),
     Limit("refused [%]", at_most=2, unit="%"),
     Limit("seen [%]", at_least=90, unit="%"),
 )
-# Points next to a hand may count as either.
 HAND_LIMITS: Final = (*VISIBLE_LIMITS, Limit("hidden and valid [%]", at_most=25, unit="%"))
 
 
