@@ -127,7 +127,7 @@ CLAIMS: Final = (
             Limit("refused [%]", at_most=3, unit="%", where=_OTHERS),
             Limit("refused [%]", at_most=3, unit="%", where={"cover": "bar"}, known=_SMALL),
             Limit("seen [%]", at_least=95, unit="%"),
-            Limit("hidden and valid [%]", at_most=25, unit="%"),
+            Limit("hidden valid [%]", at_most=25, unit="%"),
         ),
     ),
     Claim(
@@ -139,7 +139,7 @@ CLAIMS: Final = (
         VISIBLE,
         limits=(
             Limit("slips [%]", at_most=1, unit="%", sampled=3),
-            Limit("above 10 mm [%]", at_most=1, unit="%", sampled=3),
+            Limit("far [%]", at_most=1, unit="%", sampled=3),
             Limit("refused [%]", at_most=4, unit="%", sampled=20),
             Limit("seen [%]", at_least=94, unit="%", sampled=75),
             Limit("mean [mm]", at_most=3, unit="mm"),

@@ -268,9 +268,9 @@ VISIBLE: Final[dict[str, Column]] = {
     "slips [%]": percent("slips", "ok"),
     "refused [%]": percent("refused", "due"),
     "seen [%]": percent("seen", "with_seen"),
-    "hidden and valid [%]": percent("hidden_valid", "hidden"),
+    "hidden valid [%]": percent("hidden_valid", "hidden"),
     "mean [mm]": _mean_mm,
-    "above 10 mm [%]": percent("far", "ok"),
+    "far [%]": percent("far", "ok"),
     "renewed": total("renewed"),
     "worst [gaps]": of(worst, "worst"),
 }
@@ -280,7 +280,7 @@ VISIBLE_LIMITS: Final = (
     Limit("refused [%]", at_most=2, unit="%"),
     Limit("seen [%]", at_least=90, unit="%"),
 )
-HAND_LIMITS: Final = (*VISIBLE_LIMITS, Limit("hidden and valid [%]", at_most=25, unit="%"))
+HAND_LIMITS: Final = (*VISIBLE_LIMITS, Limit("hidden valid [%]", at_most=25, unit="%"))
 
 
 def tally_visible(frames: Iterable[Row]) -> Row:

@@ -96,11 +96,11 @@ def median(values: Iterable[float | None]) -> float | None:
 
 
 def as_markdown(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return rows of equal keys as an aligned Markdown table with four significant digits."""
+    """Return rows of equal keys as an aligned Markdown table with three significant digits."""
 
     def cell(value: Any) -> str:
         if isinstance(value, float):
-            return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
+            return f"{value:.3g}" if abs(value) < 1e3 else f"{value:.0f}"
         return "-" if value is None else str(value)
 
     return markdown_table([{name: cell(value) for name, value in row.items()} for row in rows])
