@@ -191,8 +191,8 @@ def _fault(shape: Shape, moment: Moment, seats: dict[str, int], ways: dict[tuple
 
 
 def warm_costs(frames: int) -> Iterator[Row]:
-    """Time one rope, three ropes apart and three that cross, which sway, with as many pixels of rope in each frame."""
-    counts = {"one rope as long as three": None, "three ropes apart": 3, "three ropes that cross": 3}
+    """Time one rope, three separate ropes and three that cross, which sway, with as many pixels of rope in each frame."""
+    counts = {"one rope as long as three": None, "three separate ropes": 3, "three ropes that cross": 3}
     methods: list[Method[list[npt.NDArray[np.uint8]]]] = []
     for kind, (name, count) in enumerate(counts.items()):
         detector = ShapeDetector([Centerline(n=20, count=count)])
@@ -206,7 +206,7 @@ def warm_costs(frames: int) -> Iterator[Row]:
 
 
 def _swaying(kind: int, phase: float) -> npt.NDArray[np.uint8]:
-    """Draw a scene at a moment of its motion: 0 one long rope, 1 three ropes apart, 2 three that cross."""
+    """Draw a scene at a moment of its motion: 0 one long rope, 1 three separate ropes, 2 three that cross."""
     sway, along, angle = 6 * np.sin(phase), np.linspace(-1, 1, 400), np.linspace(0, 11.35, 1000)
     curves = [(320 + sway, 240) + np.stack([np.cos(angle), np.sin(angle)], axis=1) * (35 + 16 * angle)[:, None]]
     if kind:
@@ -265,7 +265,7 @@ CLAIMS: Final = (
         lambda effort: [effort.count(300)], warm_costs,
         limits=(
             Limit("found [%]", at_least=99, unit="%"),
-            Limit("times one rope", at_most=1.5, unit="x", where={"scene": "three ropes apart"},
+            Limit("times one rope", at_most=1.5, unit="x", where={"scene": "three separate ropes"},
                   known="about twice as long"),
             Limit("times one rope", at_most=1.5, unit="x", where={"scene": "three ropes that cross"},
                   known="about 18 times as long"),
