@@ -191,7 +191,7 @@ def _fault(shape: Shape, moment: Moment, seats: dict[str, int], ways: dict[tuple
 
 
 def warm_costs(frames: int) -> Iterator[Row]:
-    """Time one rope, three separate ropes and three that cross, which sway, with as many pixels of rope in each frame."""
+    """Time one rope, three separate ropes and three that cross, swaying, with as many pixels of rope in each frame."""
     counts = {"one rope as long as three": None, "three separate ropes": 3, "three ropes that cross": 3}
     methods: list[Method[list[npt.NDArray[np.uint8]]]] = []
     for kind, (name, count) in enumerate(counts.items()):
