@@ -128,7 +128,6 @@ def test_a_refused_frame_leaves_the_track_alone(blue):
         (lambda: VideoSource("none.mp4").connect(), "none.mp4: no such file"),
         (lambda: FolderSource("none").connect(), "none: no such folder"),
         (lambda: Faults(drop=0.7, black=0.7), "shares from 0 to 1, with a sum of at most 1"),
-        (lambda: Faults(drop=-0.1), "shares from 0 to 1, with a sum of at most 1, got drop=-0.1"),
     ],
 )  # fmt: skip
 def test_a_value_that_cannot_be_right_is_refused_where_it_is_given(make, message):

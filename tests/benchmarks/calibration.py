@@ -209,7 +209,7 @@ CLAIMS: Final = (
         limits=(
             Limit("found [%]", at_least=100, unit="%"),
             Limit("on the table, worst [mm]", at_most=2, unit="mm"),
-            Limit("median [ms]", at_most=15, unit="ms", sampled=60),
+            Limit("median [ms]", at_most=15, unit="ms"),
         ),
     ),
     Claim(

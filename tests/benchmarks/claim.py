@@ -60,7 +60,7 @@ class Limit:
         """Compare the worst row of a table, measured at some share, with the limit.
 
         Returns:
-            ``limit``: the column and the rows; ``asked``, ``seen``; ``ok``: "yes", "no" or "not measured"; ``known``.
+            ``limit``: column and rows; ``required``, ``measured``; ``met``: "yes", "no" or "not measured"; ``reason``.
         """
         wanted = {name: value if isinstance(value, tuple) else (value,) for name, value in self.where.items()}
         rows = [row for row in table if all(row[name] in values for name, values in wanted.items())]
@@ -73,10 +73,10 @@ class Limit:
         keeps = seen is not None and (seen <= bound if below else seen >= bound)
         return Row(
             limit=", ".join([self.column, *(f"{name} {' or '.join(map(str, some))}" for name, some in wanted.items())]),
-            asked=f"{'<=' if below else '>='} {bound:g}{self.unit and ' ' + self.unit}",
-            seen=seen,
-            ok="not measured" if seen is None else "yes" if keeps else "no",
-            known=self.known,
+            required=f"{'<=' if below else '>='} {bound:g}{self.unit and ' ' + self.unit}",
+            measured=seen,
+            met="not measured" if seen is None else "yes" if keeps else "no",
+            reason=self.known,
         )
 
 

@@ -189,8 +189,8 @@ CLAIMS: Final = (
          "gap CV, worst": of(worst, "gap_cv", _wide), "to their places, mean [mm]": of(mean, "place_mm", _wide),
          "to their places, worst [mm]": of(worst, "place_mm", _wide), "warm [ms]": of(median, "warm_ms")},
         limits=(
-            Limit("refused", at_most=1),
-            Limit("gap CV, worst", at_most=0.04, where={"way": "cloud"}),
+            Limit("refused", at_most=0),
+            Limit("gap CV, worst", at_most=0.01, where={"way": "cloud"}),
             Limit("to their places, mean [mm]", at_most=5, unit="mm", where={"way": ("m", "cloud")}),
         ),
     ),

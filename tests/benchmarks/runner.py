@@ -27,8 +27,7 @@ MODULES: Final = (
     "ropes", "hidden", "several", "outlines", "sheets", "clouds", "sigma", "clicks", "calibration", "envs",
     "deployment", "servo", "speed",
 )  # fmt: skip
-ROOT: Final = Path(__file__).parent
-RESULTS: Final = ROOT / "results.json"
+RESULTS: Final = Path(__file__).with_name("results.json")
 
 
 def all_claims() -> dict[str, Claim]:
@@ -68,7 +67,7 @@ def run(claim: Claim, effort: Effort) -> Row:
             rows = claim.table(effort)
     limits = [limit.check(rows, effort.share) for limit in claim.limits] if rows else []
     found = {"rows": rows, "limits": limits, "seconds": round(time.perf_counter() - begin, 1), "missing": missing}
-    command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty"]
+    command = ["git", "-C", str(RESULTS.parent), "describe", "--always", "--dirty"]
     commit = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip() or "unknown"
     return Row(found, what=claim.what, share=effort.share, seed=effort.seed, commit=commit)
 
@@ -93,7 +92,7 @@ def _run_named(name: str, effort: Effort) -> Row:
 
 def misses(outcome: Row) -> list[Row]:
     """Return the limits that an outcome does not keep and that are not known to be missed."""
-    return [limit for limit in outcome.limits if limit.ok != "yes" and not limit.known]
+    return [limit for limit in outcome.limits if limit.met != "yes" and not limit.reason]
 
 
 def save(path: Path, name: str, outcome: Row) -> None:
@@ -164,7 +163,7 @@ def main(argv: Sequence[str]) -> int:
     effort, missed, printed = Effort(args.share, args.seed, args.renderer, args.garments), [], {}
     for name, outcome in run_all(claims, effort, args.jobs):
         save(args.out, name, outcome)
-        missed += [f"{name}: {limit.limit}: asked {limit.asked}, seen {limit.seen}" for limit in misses(outcome)]
+        missed += [f"{name}: {each.limit}: {each.measured}, required {each.required}" for each in misses(outcome)]
         printed[name] = to_plain(outcome)
         if not args.json:
             print(f"## {name}\n\n{outcome.what}\n\n{tables(outcome)}\n", flush=True)

@@ -276,7 +276,7 @@ VISIBLE: Final[dict[str, Column]] = {
 }
 VISIBLE_LIMITS: Final = (
     Limit("slips [%]", at_most=1, unit="%", where={"rows": 480}),
-    Limit("slips [%]", at_most=3, unit="%", where={"rows": 120}, sampled=10),
+    Limit("slips [%]", at_most=1, unit="%", where={"rows": 120}, sampled=10),
     Limit("refused [%]", at_most=2, unit="%"),
     Limit("seen [%]", at_least=90, unit="%"),
 )

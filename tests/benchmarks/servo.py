@@ -208,7 +208,7 @@ CLAIMS: Final = (
            ("env", "size", "view", "difficulty"),
            [*(Setting(env, how, size="640x480") for env in ("Cable", "Ring", "Cloth") for how in DIFFICULTIES),
             *(Setting("Hanging", how, view="above") for how in DIFFICULTIES)],
-           Limit("reached [%]", at_least=85, unit="%", where={"env": ("Cable", "Ring", "Hanging")}, sampled=50)),
+           Limit("reached [%]", at_least=85, unit="%", where={"env": ("Cable", "Ring", "Hanging")}, sampled=60)),
     _study("features", "Features and laws on the same goals, from the camera.", 4, ("env", "features", "law"),
            [Setting(env, how, features=each, law=law)
             for env, laws in (("Cable", ("rls", "mfac", "broyden", "kalman", "mfac-law")), ("Ring", ("rls", "mfac")),

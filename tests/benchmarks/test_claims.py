@@ -32,7 +32,7 @@ CLAIMS = all_claims()
 def test_a_sample_keeps_the_limits_except_those_of_times(name, share, seed):
     outcome = run(CLAIMS[name], Effort(share, seed))
     assert outcome.missing or outcome.rows
-    assert [limit for limit in misses(outcome) if limit.ok == "no" and not limit.asked.endswith((" ms", " x"))] == []
+    assert [each for each in misses(outcome) if each.met == "no" and not each.required.endswith((" ms", " x"))] == []
 
 
 def test_every_claim_has_a_limit():
@@ -99,8 +99,8 @@ class TestRunner:
         command("numbers.one", "--share", "0.2", **limits)
         page.write_text(f"Words before.\n{page.read_text()}Words after.\n")
         command("--page", str(page))
-        found = re.findall(r"Share [\d.]+|Words \w+", page.read_text())
-        assert found == ["Words before", "Share 0.2", "Share 1", "Words after"]
+        found = re.findall(r"\| all +\| \d+|Share [\d.]+|Words \w+", page.read_text())
+        assert found == ["Words before", "| all  | 1", "Share 0.2", "| all  | 45", "Share 1", "Words after"]
 
     def test_a_wrong_name_is_an_error(self, command, capsys):
         with pytest.raises(SystemExit) as stop:

@@ -92,7 +92,7 @@ _STRIPES: Final = {
     "winding line": ((1, 1), (2, 1), (4, 2), (10, 5)),
 }  # fmt: skip
 PATTERNS: Final[dict[str, Draw]] = {
-    **{f"noise {p:.0%}, grain {g}": partial(_noise, share=p, grain=g)
+    **{f"noise {p:.0%}, {g} px": partial(_noise, share=p, grain=g)
        for p, g in product((0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.95), (1, 2, 4, 8, 16))},
     **{f"{ways} {a}/{b}": partial(_stripes, line=a, gap=b, ways=ways) for ways in _STRIPES for a, b in _STRIPES[ways]},
     **{f"maze {k}": partial(_maze, line=k) for k in (1, 2, 4, 8, 16)},
