@@ -12,7 +12,7 @@ from typing import Any, get_args, get_type_hints
 
 import pytest
 
-from shape_obs.cli import COMMANDS, main
+from shape_obs.cli import COMMANDS
 from shape_obs.cli.bench import MEASUREMENTS
 from shape_obs.cli.calibrate import CALIBRATIONS
 
@@ -174,16 +174,13 @@ def test_values_repeated_for_help_are_those_of_the_library():
 
 
 @pytest.mark.parametrize("words", [[], ["bench"], ["calibrate", "--help"]])
-def test_without_a_command_all_are_listed(words, capsys):
-    with pytest.raises(SystemExit) as end:
-        main(words)
-    listed = capsys.readouterr().out
-    assert end.value.code == 0
+def test_without_a_command_all_are_listed(words, run):
+    code, listed, _ = run(*words)
+    assert code == 0
     assert all(f"  {name} " in listed for name in (GROUPS[words[0]] if words else COMMANDS))
 
 
-def test_a_part_that_does_not_exist_is_wrong_usage_and_the_nearest_is_named(capsys):
-    with pytest.raises(SystemExit) as end:
-        main(["bench", "sped"])
-    assert end.value.code == 2
-    assert "speed" in capsys.readouterr().err
+def test_a_part_that_does_not_exist_is_wrong_usage_and_the_nearest_is_named(run):
+    code, _, err = run("bench", "sped")
+    assert code == 2
+    assert "speed" in err
