@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
+from shape_obs.utils.errors import run_last
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -251,4 +252,4 @@ class Source(ABC):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.disconnect()
+        run_last(error, self.disconnect)

@@ -36,7 +36,8 @@ settings.load_profile("shape_obs")
 def default_signals() -> Iterator[None]:
     """Treat signals as a shell's job in the foreground does: one in the background inherits that some are ignored."""
     defaults = {
-        "SIGINT": signal.default_int_handler, "SIGQUIT": signal.SIG_DFL, "SIGHUP": signal.SIG_DFL,
+        "SIGINT": signal.default_int_handler, "SIGTERM": signal.SIG_DFL, "SIGQUIT": signal.SIG_DFL,
+        "SIGHUP": signal.SIG_DFL,
     }  # fmt: skip
     numbers = {getattr(signal, name): handler for name, handler in defaults.items() if hasattr(signal, name)}
     before = {number: signal.signal(number, handler) for number, handler in numbers.items()}

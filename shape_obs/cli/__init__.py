@@ -9,12 +9,15 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib import import_module
+from types import FrameType
 from typing import Final
 
 from shape_obs import __version__
-from shape_obs.utils.errors import UsageError, did_you_mean, hint_at_extra
+from shape_obs.utils.errors import Interrupted, UsageError, did_you_mean, hint_at_extra, message_of
 
 COMMANDS: Final = {
     "demo": "run an episode of the simulated cable and draw the points",
@@ -56,20 +59,46 @@ def main(argv: Sequence[str] | None = None) -> None:
         sys.path.append("")  # module:Name may lie in the current folder, as with ``python -m``
     prog = " ".join(["shape-obs", command, *rest[:1]] if command in _GROUPS else ["shape-obs", command])
     try:
-        status = import_module(f"shape_obs.cli.{command.replace('-', '_')}").main(rest)
+        with _signals():
+            status = import_module(f"shape_obs.cli.{command.replace('-', '_')}").main(rest)
         sys.stdout.flush()
     except BrokenPipeError:
         # The reader of the output is gone; without this the interpreter fails again when it flushes stdout.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except (ValueError, TypeError, OSError, ImportError) as error:
-        message = (" ".join(str(error).split()) or type(error).__name__) + hint_at_extra(error)
-        print(f"{prog}: {message}", file=sys.stderr)
+        print(f"{prog}: {message_of(error)}{hint_at_extra(error)}", file=sys.stderr)
         sys.exit(2 if isinstance(error, UsageError) else 1)
-    except KeyboardInterrupt as interrupt:
-        print(f"{prog}: {str(interrupt) or 'interrupted'}", file=sys.stderr)
-        sys.exit(128 + getattr(interrupt, "signum", signal.SIGINT))
+    except Interrupted as interrupted:
+        print(f"{prog}: {message_of(interrupted)}", file=sys.stderr)
+        sys.exit(128 + interrupted.signum)
     sys.exit(status)
+
+
+@contextmanager
+def _signals() -> Iterator[None]:
+    """Raise ``Interrupted`` on Ctrl-C and SIGTERM, also if a library turns it into another error."""
+    received: list[int] = []
+
+    def handle(signum: int, frame: FrameType | None) -> None:
+        received.append(signum)
+        raise Interrupted(signum)
+
+    main_thread = threading.current_thread() is threading.main_thread()
+    numbers = (signal.SIGINT, signal.SIGTERM) if main_thread else ()  # elsewhere Python cannot set handlers
+    before = {number: signal.getsignal(number) for number in numbers}
+    try:
+        for number, handler in before.items():
+            if handler is not signal.SIG_IGN:  # as for a job in the background
+                signal.signal(number, handle)
+        yield
+    except (Exception, KeyboardInterrupt) as error:
+        if isinstance(error, Interrupted) or not received:
+            raise
+        raise Interrupted(received[0]) from error
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
 
 def run_part(command: str, noun: str, parts: Mapping[str, str], argv: Sequence[str]) -> int:

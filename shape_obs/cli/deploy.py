@@ -9,22 +9,24 @@ from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
+from types import TracebackType
 from typing import Annotated, Any
 
 from shape_obs.cli.controller import ControllerArguments, Deployment, check_controller, make_deployment
 from shape_obs.cli.options import RATE, warnings_as_lines
 from shape_obs.cli.parsing import Option, parse
 from shape_obs.cli.rerun_option import TARGET, check_target, open_rerun, with_rerun_value
-from shape_obs.utils.errors import UsageError
+from shape_obs.utils.errors import UsageError, run_last
 
 
 @dataclass(frozen=True)
 class Arguments(ControllerArguments):
     """Run a trained policy or another controller on a robot at a fixed rate, using only the camera.
 
-    At the end of every run the robot is stopped, sent to its safe pose and disconnected, also after Ctrl-C, SIGTERM,
-    SIGQUIT and, unless run under nohup, SIGHUP. The exit code is 1 if the camera or the robot failed, the shape stayed
-    lost, or the loop hung, and 128 plus the signal's number after a signal.
+    Nothing moves before robot and camera are connected. At the end of every run that moved the robot, it is stopped,
+    sent to its safe pose and disconnected, also after Ctrl-C, SIGTERM, SIGQUIT and, unless run under nohup, SIGHUP. The
+    exit code is 1 if the camera or the robot failed, the shape stayed lost, or the loop hung, and 128 plus the signal's
+    number after a signal.
     """
 
     seconds: Annotated[float, Option("SECONDS", "run", above=0)] = 60.0
@@ -173,11 +175,10 @@ class _Progress:
     def __enter__(self) -> _Progress:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self._bar.close()
-        for view in self._views:
-            view.close()
-        self._end.close()
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        run_last(error, self._bar.close, *(view.close for view in self._views), self._end.close)
 
 
 def _box(args: Arguments) -> Any:

@@ -20,29 +20,24 @@ class StartFirst:
 
     Args:
         robot: The robot.
+
+    Attributes:
+        at_start: Whether the next ``reset`` finds the robot at its start.
     """
 
+    at_start: bool
+
     def __init__(self, robot: Any) -> None:
-        self._robot, self._at_start = robot, False
+        self._robot, self.at_start = robot, False
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._robot, name)
 
-    def go(self) -> None:
-        """Go to the start of the next episode; the next ``reset`` stays there.
-
-        Raises:
-            RobotError: The robot cannot go there.
-        """
-        self._robot.connect()
-        self._robot.reset()
-        self._at_start = True
-
     def reset(self) -> None:
-        """Go to the start of an episode unless the robot is already there."""
-        if not self._at_start:
+        """Go to the start of an episode, unless the robot is there."""
+        if not self.at_start:
             self._robot.reset()
-        self._at_start = False
+        self.at_start = False
 
 
 class RobotGoals(gym.Wrapper[Any, Any, Any, Any]):
@@ -69,7 +64,10 @@ class RobotGoals(gym.Wrapper[Any, Any, Any, Any]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Go to a start, take its goal, and reset the environment with it."""
         inner: Any = self.env.unwrapped
-        inner.robot.go()
+        inner.connect()
+        inner.robot.at_start = False
+        inner.interlock.reset()
+        inner.robot.at_start = True
         points = np.asarray(self._goals_of.goal, np.float64).reshape(-1, 3)
         self.goal = Target(tuple(map(tuple, points.tolist())), layout=getattr(self._goals_of, "goal_layout", {}))
         return self.env.reset(seed=seed, options={**(options or {}), "goal": self.goal})

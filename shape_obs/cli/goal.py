@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from shape_obs.cli.options import NEEDS_CONFIG, RobotArguments, make_env, make_robot, warnings_as_lines
 from shape_obs.cli.parsing import Option, parse
-from shape_obs.utils.errors import UsageError
+from shape_obs.utils.errors import UsageError, ending
 
 
 @dataclass(frozen=True)
@@ -43,13 +43,10 @@ def main(argv: Sequence[str]) -> int:
     from shape_obs.utils.arrays import write_image
 
     env = make_env(args, None if args.robot is None else _dry_robot(args))
-    try:
-        with warnings_as_lines("shape-obs goal"):
-            env.reset()
-            target, detection = _first_complete(env, args)
+    with ending(env.close), warnings_as_lines("shape-obs goal"):
+        env.reset()
+        target, detection = _first_complete(env, args)
         rgb = env.get_wrapper_attr("frame").rgb
-    finally:
-        env.close()
     target.save(args.out)
     picture = args.out.with_suffix(".png")
     write_image(picture, draw_detection(rgb, detection))

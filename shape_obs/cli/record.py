@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 from shape_obs.cli.options import check_source, open_named, read_settings, warnings_as_lines
 from shape_obs.cli.parsing import Option, parse
 from shape_obs.cli.rerun_option import TARGET, FrameLog, check_target, open_rerun, with_rerun_value
-from shape_obs.utils.errors import UsageError
+from shape_obs.utils.errors import UsageError, ending
 
 if TYPE_CHECKING:
     from shape_obs.recording import Moment, Recorded
@@ -31,8 +31,8 @@ class Arguments:
 
     Recordings of an environment also contain actions, rewards, ends of episodes and the robot's state.
 
-    Ctrl-C ends a recording cleanly. After an error the frames that were written are kept. The exit code is 1 if the
-    source failed.
+    Ctrl-C or SIGTERM ends a recording cleanly. After an error the frames that were written are kept. The exit code is 1
+    if the source failed.
     """
 
     source: Annotated[str, Option("SOURCE", "source", check=check_source)]
@@ -94,11 +94,8 @@ def _folder(args: Arguments) -> Recorded:
 
     source = open_named(args.source, args.extrinsics, args.set)
     limits: dict[str, Any] = {"frames": args.frames, "seconds": args.seconds, "depth": args.depth}
-    try:
-        with _shown(args, source) as show:
-            return record(source, args.out, **limits, on_frame=show)
-    finally:
-        source.disconnect()
+    with ending(source.disconnect), _shown(args, source) as show:
+        return record(source, args.out, **limits, on_frame=show)
 
 
 def _raw(args: Arguments) -> Recorded:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 from shape_obs.cli.options import check_source, open_named, read_settings, warnings_as_lines
 from shape_obs.cli.parsing import Option, parse
-from shape_obs.utils.errors import UsageError
+from shape_obs.utils.errors import UsageError, ending
 
 if TYPE_CHECKING:
     from shape_obs.source import RGBDSource
@@ -87,11 +87,9 @@ def _tune(args: Arguments) -> int:
 
     with address.bind() as listening:
         engine = Engine(_open(args), Session(config, read_only=args.read_only))
-        try:
+        with ending(engine.stop):
             engine.start()
             serve(engine, save, address.host, listening, announce)
-        finally:
-            engine.stop()
     return 0
 
 

@@ -14,6 +14,7 @@ from shape_obs.deploy.safety import Gate, Judgement, Limits, Watchdog
 from shape_obs.deploy.supervision import Interrupted, SignalStop, supervised
 from shape_obs.frame import Frame
 from shape_obs.shape import Detection
+from shape_obs.utils.errors import ending, message_of
 from shape_obs.utils.timing import Clock
 
 if TYPE_CHECKING:
@@ -56,6 +57,9 @@ def deploy(
     close: bool = True,
 ) -> Report:
     """Run a controller on a robot, and stop, park and disconnect the robot at the end, also after an error.
+
+    Nothing moves, also no robot parks, before both robot and camera are connected. The first error is raised, with the
+    messages of later ones as its notes.
 
     The environment keeps the rate with absolute deadlines, and its action limiter clips actions, limits steps and keeps
     the robot in the workspace. SIGINT, SIGTERM, SIGQUIT and, unless ``nohup`` made the process ignore it, SIGHUP stop
@@ -138,35 +142,39 @@ class _Run:
         interlock = self._robot_env.interlock
         expired, ended, failed = interlock.expired, "", True
         try:
-            check_controller(self._controller, self._spec, self._env)
-            with self._signals.unmasked():
-                ended, failed = self._loop(steps, seconds, until_reached)
+            with ending(interlock.stop):
+                ended, failed = self._checked_loop(steps, seconds, until_reached)
         except Interrupted as interrupted:
             ended, failed = str(interrupted), False
             raise
         except BaseException as error:  # also SystemExit: the report gives the reason; raised again below
-            ended = f"{type(error).__name__}: {error}"
+            ended, failed = f"{type(error).__name__}: {message_of(error)}", True
             raise
         finally:
-            self._signals.raising = False
-            try:
-                interlock.stop()
-            finally:
-                self.report = self._tally.report(
-                    steps=self._count,
-                    seconds=self._clock.now() - self._begin,
-                    overruns=self._robot_env.rate.overruns,
-                    expired=interlock.expired - expired,
-                    ended=ended,
-                    failed=failed,
-                    success=bool(self._info["is_success"]) if "is_success" in self._info else None,
-                )
-                if self._log is not None:
-                    self._log.report(self.report.to_dict())
+            self.report = self._tally.report(
+                steps=self._count,
+                seconds=self._clock.now() - self._begin,
+                overruns=self._robot_env.rate.overruns,
+                expired=interlock.expired - expired,
+                ended=ended,
+                failed=failed,
+                success=bool(self._info["is_success"]) if "is_success" in self._info else None,
+            )
+            if self._log is not None:
+                self._log.report(self.report.to_dict())
         if self._record is not None and self._robot_env.frame is not None:  # the frame after the last step
             self._record.frame(self._robot_env.frame, self._robot_env.robot.state())
             self._record.write()
         return self.report
+
+    def _checked_loop(self, steps: int | None, seconds: float | None, until_reached: int) -> tuple[str, bool]:
+        """Run the loop with a controller that suits the robot; afterwards no signal interrupts the end of the run."""
+        try:
+            with self._signals.unmasked():
+                check_controller(self._controller, self._spec, self._env)
+                return self._loop(steps, seconds, until_reached)
+        finally:
+            self._signals.raising = False
 
     def _loop(self, steps: int | None, seconds: float | None, until_reached: int) -> tuple[str, bool]:
         """Step until the run ends; return the reason, and whether it is an error."""

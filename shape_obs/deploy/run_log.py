@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import math
 import os
 import platform
@@ -22,6 +21,7 @@ import numpy as np
 from shape_obs import __version__
 from shape_obs.config.detector_config import ALGORITHM
 from shape_obs.spec import to_plain
+from shape_obs.utils.errors import run_last
 from shape_obs.utils.files import write_whole
 
 if TYPE_CHECKING:
@@ -35,8 +35,6 @@ _WAITING: Final = 9000
 _LEAST: Final = 1e-3
 _GROWTH: Final = math.log(1.01)
 _BINS: Final = int(math.log(3.6e6 / _LEAST) / _GROWTH) + 2
-
-_LOG: Final = logging.getLogger(__name__)
 
 
 class RunLog:
@@ -120,11 +118,7 @@ class RunLog:
     ) -> None:
         self._tasks.put(None)
         self._thread.join()
-        self._steps.close()
-        if error is None:
-            self._raise_failure()
-        elif self._failure is not None:
-            _LOG.error("The log is incomplete: %s", self._failure)
+        run_last(error, self._steps.close, self._raise_failure)
 
 
 class Section(NamedTuple):

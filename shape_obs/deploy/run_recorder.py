@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from shape_obs.recording import Moment, Recorded, RecordingWriter, RobotInfo, Tr
 from shape_obs.recording.format import plain
 from shape_obs.recording.writer import check_new_folder
 from shape_obs.robot import measured, robot_anchors, robot_name
+from shape_obs.utils.errors import run_last
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -115,8 +117,10 @@ class RunRecorder:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *error: object) -> None:
-        self.close()
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        run_last(error, self.close)
 
 
 def _flat(values: npt.ArrayLike) -> list[Any]:

@@ -7,9 +7,11 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any, Final
+
+from shape_obs.utils.errors import Interrupted, add_later, ending
 
 if TYPE_CHECKING:
     import gymnasium as gym
@@ -23,26 +25,6 @@ _HANGUP: Final = getattr(signal, "SIGHUP", None)
 _END: Final = 0  # no signal has this number
 #: Longest time in seconds that the main thread waits until the robot is stopped, before it ends the run.
 _PATIENCE: Final = 1.0
-
-
-class Interrupted(KeyboardInterrupt):
-    """A signal asked the process to end.
-
-    Args:
-        signum: Number of the signal.
-
-    Attributes:
-        signum: As given.
-        report: Report of the run that was ended; None if there is none.
-    """
-
-    signum: int
-    report: Any
-
-    def __init__(self, signum: int) -> None:
-        super().__init__(f"interrupted by {signal.Signals(signum).name}")
-        self.signum = signum
-        self.report = None
 
 
 class SignalStop:
@@ -80,16 +62,21 @@ class SignalStop:
 
     @contextmanager
     def unmasked(self) -> Iterator[None]:
-        """Raise ``Interrupted`` again where it comes out as a ``SystemError``.
+        """Raise ``Interrupted`` again if a signal came and the block ends with another error.
 
-        A compiled function calls some Python to build the arrays that it returns. An exception that a signal raises
-        there, the interpreter reports as an error of the function.
+        A driver may turn the exception of a signal into one of its own. A compiled function calls some Python to build
+        the arrays that it returns; an exception there comes out as a ``SystemError`` of the function.
         """
         try:
             yield
-        except SystemError:
-            self.check()
-            raise
+        except Exception as error:
+            if not self.received:
+                raise
+            self.raising = False
+            interrupted = Interrupted(self.received[0])
+            if not isinstance(error, SystemError):
+                add_later(interrupted, error)
+            raise interrupted from error
 
     def __enter__(self) -> Self:
         self._previous: dict[int, Any] = {}
@@ -143,7 +130,8 @@ class SignalStop:
 def supervised(env: gym.Env[Any, Any], *, park: bool = True, close: bool = True) -> Iterator[SignalStop]:
     """Stop the robot at once on a signal; at the end stop, park and disconnect it, also after an error.
 
-    Each of these is done even if the previous one fails. A second signal skips or ends parking.
+    Each of these is done even if the previous one fails; the first error is raised, with the others as its notes. A
+    robot that nothing has moved yet is not parked. A second signal skips or ends parking.
 
     Args:
         env: ``ShapeObs/D455-v0`` with a robot, wrapped or not.
@@ -154,15 +142,14 @@ def supervised(env: gym.Env[Any, Any], *, park: bool = True, close: bool = True)
         Interrupted: SIGINT, SIGTERM, SIGHUP or SIGQUIT came; raised after the robot was stopped and parked.
         RobotError: The robot cannot be stopped or parked.
     """
-    robot_env: Any = env.unwrapped
-    with SignalStop(robot_env.interlock.trip) as signals:
-        with ExitStack() as end:
-            # Callbacks run in reverse order: stop, park, disconnect.
-            if close:
-                end.callback(env.close)
-            if park:
-                end.callback(_park, robot_env, signals)
-            end.callback(robot_env.interlock.stop)
+    interlock = env.unwrapped.interlock  # pyright: ignore[reportAttributeAccessIssue]
+    steps: list[Callable[[], object]] = [interlock.stop]
+    with SignalStop(interlock.trip) as signals:
+        if park:
+            steps.append(lambda: _park(interlock, signals))
+        if close:
+            steps.append(env.close)
+        with signals.unmasked(), ending(*steps):
             try:
                 with signals.unmasked():
                     yield signals
@@ -171,11 +158,11 @@ def supervised(env: gym.Env[Any, Any], *, park: bool = True, close: bool = True)
         signals.check()
 
 
-def _park(robot_env: Any, signals: SignalStop) -> None:
+def _park(interlock: Any, signals: SignalStop) -> None:
     if len(signals.received) > 1:
         return
     signals.raising = True  # parking is a motion, which may take long
     try:
-        robot_env.robot.park()
+        interlock.park()
     finally:
         signals.raising = False

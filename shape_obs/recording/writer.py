@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
+from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from shape_obs import __version__
@@ -27,6 +28,7 @@ from shape_obs.recording.format import (
 )
 from shape_obs.recording.images import store
 from shape_obs.source import RGBDSource
+from shape_obs.utils.errors import run_last
 from shape_obs.utils.files import make_folder, write_text
 
 if TYPE_CHECKING:
@@ -132,8 +134,10 @@ class RecordingWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *error: object) -> None:
-        self.close()
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        run_last(error, self.close)
 
     def _store(self, index: int, moment: Moment) -> dict[str, Any]:
         frame = moment.frame

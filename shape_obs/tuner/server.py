@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import errno
 import secrets
-import signal
 import socket
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 
 from shape_obs.tuner.engine import Engine
 from shape_obs.tuner.guard import Guard, is_local
@@ -83,28 +81,8 @@ def serve(
     config.load()
     name = host if is_local(host) else _reachable(host)
     url = f"http://{f'[{name}]' if ':' in name else name}:{port}/{'' if token is None else f'?token={token}'}"
-    previous = signal.signal(signal.SIGTERM, _interrupt)
-    try:
-        on_ready(url)
-        server.run(sockets=[listening])
-    finally:
-        signal.signal(signal.SIGTERM, previous)
-
-
-class Terminated(KeyboardInterrupt):
-    """SIGTERM came.
-
-    Args:
-        signum: Its number, from which the command's exit code is computed.
-    """
-
-    def __init__(self, signum: int) -> None:
-        super().__init__("terminated")
-        self.signum = signum
-
-
-def _interrupt(signum: int, frame: FrameType | None) -> None:
-    raise Terminated(signum)
+    on_ready(url)
+    server.run(sockets=[listening])
 
 
 def _reachable(host: str) -> str:

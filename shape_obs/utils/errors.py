@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Final
+import signal
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, Final
 
 #: Extras of the libraries whose absence is not reported where they are imported.
 _EXTRAS: Final[Mapping[str, str]] = {"stable_baselines3": "sb3", "torch": "sb3", "safetensors": "sb3"}
@@ -17,6 +19,78 @@ class SpecError(ValueError):
 
 class UsageError(ValueError):
     """A command line that is wrong: an argument is missing, unknown or out of range. ``shape-obs`` exits with 2."""
+
+
+class Interrupted(KeyboardInterrupt):
+    """A signal asked the process to end.
+
+    Args:
+        signum: Number of the signal.
+
+    Attributes:
+        signum: As given.
+        report: Report of the run that was ended; None if there is none.
+    """
+
+    __module__ = "shape_obs.deploy"  # its public path, which tracebacks show
+    signum: int
+    report: Any
+
+    def __init__(self, signum: int) -> None:
+        super().__init__(f"interrupted by {signal.Signals(signum).name}")
+        self.signum = signum
+        self.report = None
+
+
+def add_later(first: BaseException, later: BaseException) -> None:
+    """Add the messages of a later error to the first one, as notes; Python 3.10 has no ``add_note``."""
+    for message in _messages(later):
+        if message not in _messages(first):
+            vars(first).setdefault("__notes__", []).append(message)
+
+
+def run_last(error: BaseException | None, *steps: Callable[[], object]) -> None:
+    """Run the last steps of a block, each even if another one fails, and raise the first error.
+
+    The messages of later errors are added to it as notes, which ``message_of`` returns too.
+
+    Args:
+        error: The error that ended the block, which the caller raises; None if there was none.
+        steps: What remains to be done.
+    """
+    first = error
+    for step in steps:
+        try:
+            step()
+        except BaseException as later:  # noqa: BLE001, PERF203 - also after Ctrl-C the next steps are needed
+            if first is None:
+                first = later
+            else:
+                add_later(first, later)
+    if first is not None and error is None:
+        raise first
+
+
+@contextmanager
+def ending(*steps: Callable[[], object]) -> Iterator[None]:
+    """Run a block and then ``steps``, all of them, and raise the first error; see ``run_last``."""
+    error: BaseException | None = None
+    try:
+        yield
+    except BaseException as raised:
+        error = raised
+        raise
+    finally:
+        run_last(error, *steps)
+
+
+def message_of(error: BaseException) -> str:
+    """Return the message of an error and of those that followed it, in one line."""
+    return " ".join("; then: ".join(_messages(error)).split())
+
+
+def _messages(error: BaseException) -> list[str]:
+    return [str(error) or type(error).__name__, *getattr(error, "__notes__", ())]
 
 
 def install_hint(extra: str) -> str:

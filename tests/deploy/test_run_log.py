@@ -48,7 +48,8 @@ def test_a_run_that_dies_leaves_its_steps_and_the_reason_on_disk(error, tmp_path
     assert len((tmp_path / "run" / "steps.jsonl").read_text().splitlines()) == 4
     report = json.loads((tmp_path / "run" / "report.json").read_text())
     ended = "KeyboardInterrupt: " if error is KeyboardInterrupt else "ZeroDivisionError: a mistake"
-    assert (report["ended"], report["failed"], report["steps"]) == (ended, True, 4)
+    assert report["ended"].startswith(ended)
+    assert (report["failed"], report["steps"]) == (True, 4)
 
 
 class BlockedLog(RunLog):

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import sys
 import threading
 from functools import partial
 
 import pytest
-from fake_cell import PATIENT, Always, cell
+from fake_camera import FakeCamera
+from fake_cell import PATIENT, ROPE, Always, FakeRobot, cell, rope
 
+from shape_obs import save_config
 from shape_obs.deploy import Interrupted, RunLog, deploy, supervised
 
 pytestmark = [
@@ -115,3 +118,50 @@ def test_outside_the_main_thread_it_runs_without_signals():
     thread.start()
     thread.join()
     assert reports[0].acted == 3
+
+
+@pytest.mark.parametrize(
+    ("camera", "robot", "code", "message"),
+    [
+        ("rope", "broken=[connect,stop,park]", 1, "connect: the robot .*; then: stop: the robot"),
+        ("unplugged", "broken=[stop,park,disconnect]", 1, "not plugged in; then: stop: the .*; then: disconnect: the"),
+        ("unplugged", "size=2 --goal robot --episodes 2", 1, "deploy: fake camera: it is not plugged in$"),
+        ("rope", "broken=[reset,park]", 1, "deploy: reset: the robot .*; then: park: the robot"),
+        ("rope", "size=2 --controller types:SimpleNamespace", 1, "deploy: controller: expected an object with act"),
+        ("rope", "signals={connect:\u00a0SIGINT}", 130, "deploy: interrupted by SIGINT$"),
+        (
+            "rope",
+            "signals={connect:\u00a0SIGTERM} broken=[connect,stop]",
+            143,
+            "SIGTERM; then: connect: .* then: stop:",
+        ),
+        ("rope", "signals={reset:\u00a0SIGTERM} broken=[park]", 143, "deploy: interrupted by SIGTERM; then: park: the"),
+        ("rope", "signals={__init__:\u00a0SIGTERM} broken=[__init__]", 143, "deploy: interrupted by SIGTERM$"),
+        ("rope", "signals={park:\u00a0SIGINT} broken=[reset]", 130, "SIGINT; then: reset: the robot"),
+    ],
+)
+def test_a_start_that_fails_moves_nothing_and_shows_the_first_error_first(
+    run, monkeypatch, tmp_path, camera, robot, code, message
+):
+    robots = []
+    monkeypatch.setattr(
+        "fake_cell.Robot", lambda **options: robots.append(FakeRobot(**options)) or robots[-1], raising=False
+    )
+    config = tmp_path / "shape.yaml"
+    save_config(config, ROPE)
+    options = [part.replace("\u00a0", " ") for part in robot.split(" ")]
+    named = ["--source", f"fake_cell:{camera}_camera", "--config", config, "--size", 160, 120]
+    ended, _, err = run(
+        "deploy", *named, "--log", tmp_path / "run", "--robot", "fake_cell:Robot", "--robot-set", *options
+    )
+    assert (ended, err.count("\n")) == (code, 1), err
+    assert re.search(message, err.strip()), err
+    for made in robots:
+        assert "reset" in made.attempts or not {"park", "send"} & set(made.attempts)
+
+
+def test_sigterm_ends_a_recording_as_ctrl_c_does(run, monkeypatch, tmp_path):
+    camera = FakeCamera(lambda number: terminate() if number == 3 else rope())
+    monkeypatch.setattr("fake_cell.camera", lambda: camera, raising=False)
+    code, out, err = run("record", "--source", "fake_cell:camera", "-o", tmp_path / "run", "--json")
+    assert (code, json.loads(out)["frames"], json.loads(out)["stopped"]) == (0, 3, "interrupted"), err

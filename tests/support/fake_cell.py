@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import signal
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import cv2
@@ -32,18 +33,30 @@ class FakeRobot:
         times: Name and time of each call.
         slow: Name of a call -> seconds that it takes the next time.
         broken: Names of calls that raise ``RobotError``.
+        attempts: Names of the calls, also of those that failed.
+        signals: Name of a call -> signal that comes during it.
     """
 
     name = "fake"
+    goal = np.zeros((10, 3))
 
-    def __init__(self, size: int = 2, clock: Clock | None = None, **spec: Any) -> None:
+    def __init__(
+        self,
+        size: int = 2,
+        clock: Clock | None = None,
+        broken: Iterable[str] = (),
+        signals: Mapping[str, str] | None = None,
+        **spec: Any,
+    ) -> None:
         given = {"scale": size * [0.01], "low": size * [-0.1], "high": size * [0.1], "units": size * ["m"], **spec}
         self.action_spec = ActionSpec.from_dict({"names": [f"x{i}" for i in range(size)], **given})
         self.clock = clock or FakeClock()
         self.command = np.zeros(size)
         self.times: list[tuple[str, float]] = []
         self.slow: dict[str, float] = {}
-        self.broken: set[str] = set()
+        self.broken, self.signals = set(broken), dict(signals or {})
+        self.attempts: list[str] = []
+        self._call("__init__")
 
     @property
     def calls(self) -> list[str]:
@@ -55,9 +68,14 @@ class FakeRobot:
 
     def _call(self, name: str) -> None:
         self.clock.sleep(self.slow.pop(name, 0.0))
-        if name in self.broken:
-            raise RobotError("the robot is in an emergency stop")
-        if name != "state":
+        self.attempts.append(name)
+        try:
+            if name in self.signals:
+                signal.raise_signal(getattr(signal, self.signals[name]))
+        finally:  # a driver may turn any exception into one of its own
+            if name in self.broken:
+                raise RobotError(f"{name}: the robot is in an emergency stop")
+        if name not in ("state", "__init__"):
             self.times.append((name, self.clock.now()))
 
     def connect(self) -> None:
@@ -94,6 +112,13 @@ def rope(right: float = 0.0, down: int = 0) -> Any:
 def rope_camera(robot: Any = None, **options: Any) -> FakeCamera:
     """Return a camera that sees a rope, which the robot moves to the right."""
     return FakeCamera(lambda _: rope(0.0 if robot is None else robot.command[0]), **options)
+
+
+def unplugged_camera() -> FakeCamera:
+    """Return a camera that cannot be connected."""
+    camera = rope_camera()
+    camera.unplug()
+    return camera
 
 
 def make_env(source: Any = None, robot: Any = None, **options: Any) -> Any:

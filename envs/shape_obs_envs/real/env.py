@@ -16,6 +16,7 @@ from shape_obs.robot import Anchors, Robot, RobotError, check_robot, robot_ancho
 from shape_obs.servo.action_limiter import Box, Guard, Guarded
 from shape_obs.source import NotConnected, RGBDSource, SourceError
 from shape_obs.utils.documents import make_named
+from shape_obs.utils.errors import ending
 from shape_obs.utils.timing import CLOCK, Clock, Rate
 from shape_obs_envs.arguments import count, one_of, positive
 from shape_obs_envs.real.frame_reader import FrameReader, delivers_depth, open_frame_source
@@ -175,16 +176,13 @@ class D455Env(gym.Env[Any, Any]):
         super().reset(seed=seed)
         self.guarded, self.withheld = None, ""
         try:
-            if self.robot is not None and self.interlock is not None:
-                self.interlock.arm()
-                self.robot.connect()
-            self._reader.connect()  # before anything moves
-            if self.robot is not None:
-                self.robot.reset()
+            self.connect()
+            if self.interlock is not None:
+                self.interlock.reset()
             self._accept(self._reader.frame_after(self.clock.now()))
-        except (SourceError, RobotError, ValueError):
-            self._abandon()
-            raise
+        except BaseException:  # raised again, after those who were connected are stopped
+            with ending(self._abandon):
+                raise
         self.rate.start()
         return self._observe(), self._info(overrun=False)
 
@@ -206,11 +204,14 @@ class D455Env(gym.Env[Any, Any]):
         except (SourceError, RobotError) as error:
             errors["camera_error" if isinstance(error, SourceError) else "robot_error"] = str(error)
         except ValueError:
-            self._abandon()
-            raise
+            with ending(self._abandon):
+                raise
         if errors:
             self.frame = None
-            self._abandon()
+            try:
+                self._abandon()
+            except (SourceError, RobotError) as error:
+                errors.setdefault("robot_error", str(error))
         info = self._info(overrun=self.slack < 0)
         return self._observe(), 0.0, False, bool(errors), {**info, **errors}
 
@@ -220,12 +221,25 @@ class D455Env(gym.Env[Any, Any]):
 
     def close(self) -> None:
         """Stop the robot and disconnect without moving it. A later ``reset`` connects again."""
-        self._abandon()
-        if self.robot is not None and self.interlock is not None:
-            self.interlock.close()
-            self.robot.disconnect()
+        if self.robot is None or self.interlock is None:
+            self._abandon()
+            return
+        with ending(self.interlock.close, self.robot.disconnect):
+            self._abandon()
 
     # ---- published
+
+    def connect(self) -> None:
+        """Connect robot and camera, unless they are connected, and allow motions; nothing moves.
+
+        Raises:
+            SourceError: The camera is not available; the subclass and the message give the reason.
+            RobotError: The robot is not available.
+        """
+        if self.robot is not None and self.interlock is not None:
+            self.interlock.arm()
+            self.robot.connect()
+        self._reader.connect()
 
     @property
     def dt(self) -> float:
@@ -294,8 +308,6 @@ class D455Env(gym.Env[Any, Any]):
 
     def _abandon(self) -> None:
         """Stop the robot and disconnect the camera, so that the next reset reconnects."""
-        try:
+        with ending(self.source.disconnect):
             if self.interlock is not None:
                 self.interlock.stop()
-        finally:
-            self.source.disconnect()

@@ -6,7 +6,7 @@ import logging
 import math
 from typing import Final
 
-from shape_obs.robot import Array, Robot
+from shape_obs.robot import Array, Robot, RobotError
 from shape_obs.utils.timing import CLOCK, Clock
 
 _LOG: Final = logging.getLogger(__name__)
@@ -25,22 +25,44 @@ class Interlock:
         clock: Time, and the thread that watches it.
 
     Attributes:
+        moved: Whether the robot may have been moved since it was connected.
         tripped: Why no motion is sent; empty while motions are allowed.
         expired: Number of motions that ended because they were not replaced in time.
     """
 
+    moved: bool
     tripped: str
     expired: int
 
     def __init__(self, robot: Robot, clock: Clock = CLOCK) -> None:
         self._robot, self._clock = robot, clock
-        self.tripped, self.expired = "", 0
+        self.moved, self.tripped, self.expired = False, "", 0
         self._end = clock.alarm(self._expire, "motion end")
         self._failure: Exception | None = None
 
     def arm(self) -> None:
         """Allow motions again, at the start of a new episode."""
         self.tripped, self._failure = "", None
+
+    def reset(self) -> None:
+        """Send the robot to its start; robot and camera must be connected.
+
+        Raises:
+            RobotError: The robot cannot go there, or the interlock is tripped.
+        """
+        if self.tripped:
+            raise RobotError(f"The robot was stopped before it went to its start: {self.tripped}.")
+        self.moved = True
+        self._robot.reset()
+
+    def park(self) -> None:
+        """Send the robot to its safe pose, unless nothing has moved it since it was connected.
+
+        Raises:
+            RobotError: The robot cannot go there.
+        """
+        if self.moved:
+            self._robot.park()
 
     def send(self, motion: Array, until: float) -> str:
         """Send a motion, unless its time limit has passed or the interlock is tripped.
@@ -82,6 +104,7 @@ class Interlock:
 
     def close(self) -> None:
         """End the thread. The next motion starts another one."""
+        self.moved = False
         self._end.close()
 
     def _refusal(self, until: float) -> str:

@@ -140,7 +140,7 @@ def test_a_failing_robot_ends_the_episode():
     robot.broken.add("send")
     *_, truncated, info = env.step(np.zeros(2))
     assert truncated
-    assert info["robot_error"] == "the robot is in an emergency stop"
+    assert info["robot_error"] == "send: the robot is in an emergency stop"
 
 
 def test_the_camera_model_is_nominal_before_and_the_cameras_own_after_the_reset():
