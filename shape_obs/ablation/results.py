@@ -46,8 +46,15 @@ class RunFolder:
         return self.root / self.arm / f"seed{self.seed}"
 
     def clear(self) -> None:
-        """Make the folder, and remove the files of an interrupted run."""
+        """Make the folder, and remove the files of an interrupted run.
+
+        Raises:
+            FileExistsError: It holds something else.
+        """
         if self.path.is_dir():
+            names = {path.name for path in self.path.iterdir()}
+            if names and not names & {PROGRESS, ERROR}:
+                raise FileExistsError(f"{self.path} holds no run of a study: choose another folder, or move it away.")
             shutil.rmtree(self.path)
         make_folder(self.path)
 
@@ -61,9 +68,9 @@ class RunFolder:
     def save(self, outcome: Outcome) -> None:
         """Write the files of a finished run, ``run.json`` last, or ``error.txt`` of a failed one."""
         make_folder(self.path)
-        (self.path / PROGRESS).unlink(missing_ok=True)
         if outcome.error:
             _write(self.path / ERROR, outcome.error.rstrip().encode() + b"\n")
+            (self.path / PROGRESS).unlink(missing_ok=True)
             return
         (self.path / ERROR).unlink(missing_ok=True)
         for name, data in outcome.files.items():
@@ -75,6 +82,7 @@ class RunFolder:
             "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in outcome.files.items()},
         }  # fmt: skip
         _write(self.path / RUN, json.dumps(about, indent=1).encode() + b"\n")
+        (self.path / PROGRESS).unlink(missing_ok=True)  # last: it marks the folder of an unfinished run
 
     def about(self) -> dict[str, Any] | None:
         """Return the content of ``run.json``; None if the run is not finished.

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from shape_obs.cli.options import warnings_as_lines
+from shape_obs.cli.outputs import Overwrite, check_outputs, note_output
 from shape_obs.cli.parsing import Option, parse
 from shape_obs.utils.errors import UsageError, did_you_mean
 
@@ -45,6 +46,8 @@ class Arguments:
     """Seeds; replaces those of the config."""
     table_only: Annotated[bool, Option(group="output")] = False
     """Run nothing; make the table and the pictures from finished runs."""
+    overwrite: Overwrite = False
+    """Replace existing tables and pictures; unchanged ones of earlier runs are replaced in any case."""
     json: Annotated[bool, Option(group="output")] = False
     """Print the summary as JSON."""
 
@@ -55,9 +58,11 @@ def main(argv: Sequence[str]) -> int:
     if args.address is not None and args.engine != "ray":
         raise UsageError("--address: only for a Ray cluster; give --engine ray too.")
     from shape_obs.ablation import load_study
-    from shape_obs.ablation.report import need_matplotlib
+    from shape_obs.ablation.report import CURVES, DEGRADATION, INTERVALS, TABLE, need_matplotlib
+    from shape_obs.ablation.results import RESULTS
     from shape_obs.utils.files import make_folder
 
+    check_outputs(args, *(args.out / name for name in (RESULTS, TABLE, CURVES, INTERVALS, DEGRADATION)))
     need_matplotlib()
     study = load_study(args.config)
     for name in args.only:
@@ -120,6 +125,8 @@ def _results(args: Arguments, study: Study) -> dict[str, Any]:
         raise ValueError(f"{args.out}: no run of this study is finished.")
     summary = summarize(study, runs)
     files = [write_results(runs, args.out), write_table(study, summary, args.out), *draw(study, summary, args.out)]
+    for path in files:
+        note_output(path)
     result = {"arms": summary_to_dict(summary), "table": markdown(study, summary), "files": list(map(str, files))}
     return result if args.table_only else {**result, **_best_policy(args, study, runs)}
 

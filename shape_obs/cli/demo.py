@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from shape_obs.cli.outputs import Overwrite, check_outputs, note_output
 from shape_obs.cli.parsing import Option, parse
-from shape_obs.cli.rerun_option import TARGET, check_target, open_rerun, with_rerun_value
+from shape_obs.cli.rerun_option import TARGET, check_target, open_rerun, rerun_file, with_rerun_value
 
 if TYPE_CHECKING:
     import numpy as np
@@ -40,6 +41,8 @@ class Arguments:
     rerun: Annotated[str | None, Option(TARGET, "output", check=check_target)] = None
     """Log the episode to rerun: to FILE.rrd, or to a running viewer by its address. Without a value, open the viewer,
     or write OUT/demo.rrd if there is no display (needs the extra 'rerun')."""
+    overwrite: Overwrite = False
+    """Replace existing files; unchanged files of earlier runs are replaced in any case."""
 
 
 @dataclass(frozen=True)
@@ -68,26 +71,31 @@ class Record:
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
     args = parse(Arguments, with_rerun_value(argv), "shape-obs demo")
+    files = [args.out / "demo.png", args.out / "demo.gif"]
+    logged = rerun_file(args.rerun, args.out / "demo")
+    check_outputs(args, *files, logged)
     import numpy as np
 
     from shape_obs.utils.arrays import write_gif, write_image
     from shape_obs.utils.files import make_folder
 
-    out = make_folder(args.out)
+    make_folder(args.out)
     if args.rerun is None:
         record = run_episode(args)
     else:
         from shape_obs.drawing import RerunLog
 
-        with open_rerun(args.rerun, out / "demo", "shape-obs demo") as stream:
+        with open_rerun(args.rerun, args.out / "demo", "shape-obs demo") as stream:
             record = run_episode(args, RerunLog(stream.recording))
     large = draw_frames(record, [0, len(record.shown) - 1], size=2.0)
     gap = np.full((len(large[0]), 8, 3), 255, np.uint8)
-    write_image(out / "demo.png", np.concatenate([large[0], gap, large[-1]], axis=1))
+    write_image(files[0], np.concatenate([large[0], gap, large[-1]], axis=1))
     frames = draw_frames(record, range(len(record.shown)), size=1.5)
-    write_gif(out / "demo.gif", frames + frames[-1:] * _PAUSE, 0.05)
+    write_gif(files[1], frames + frames[-1:] * _PAUSE, 0.05)
     print(summary(record))
-    print(f"pictures        {out / 'demo.png'}, {out / 'demo.gif'}")
+    for path in (*files, *([logged] if logged is not None and logged.parent == args.out else [])):
+        note_output(path)
+    print(f"pictures        {files[0]}, {files[1]}")
     return 0
 
 

@@ -14,8 +14,9 @@ from typing import Annotated, Any
 
 from shape_obs.cli.controller import ControllerArguments, Deployment, check_controller, make_deployment
 from shape_obs.cli.options import RATE, warnings_as_lines
+from shape_obs.cli.outputs import Overwrite, check_outputs
 from shape_obs.cli.parsing import Option, parse
-from shape_obs.cli.rerun_option import TARGET, check_target, open_rerun, with_rerun_value
+from shape_obs.cli.rerun_option import TARGET, check_target, open_rerun, rerun_file, with_rerun_value
 from shape_obs.utils.errors import UsageError, run_last
 
 
@@ -58,6 +59,8 @@ class Arguments(ControllerArguments):
     rerun: Annotated[str | None, Option(TARGET, "output", check=check_target)] = None
     """Log the run to rerun: to FILE.rrd, or to a running viewer by its address. Without a value, open the viewer, or,
     if there is no display, write a file next to --log or else deploy.rrd (needs the extra 'rerun')."""
+    overwrite: Overwrite = False
+    """Replace an existing FILE.rrd; logs and recordings are never replaced."""
     json: Annotated[bool, Option(group="output")] = False
     """Print the report as JSON."""
 
@@ -66,6 +69,7 @@ def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
     args = parse(Arguments, with_rerun_value(argv), "shape-obs deploy", check_controller)
     box = _box(args)
+    check_outputs(args, rerun_file(args.rerun, args.log or Path("deploy")))
     from threadpoolctl import threadpool_limits
 
     with warnings_as_lines("shape-obs deploy"), threadpool_limits(1):  # small networks are slower on many threads
@@ -75,7 +79,11 @@ def main(argv: Sequence[str]) -> int:
 def _run(args: Arguments, box: Any) -> int:
     from shape_obs.cli.episodes import play
     from shape_obs.deploy import Interrupted, Limits, RunLog, RunRecorder, deploy
+    from shape_obs.deploy.run_log import check_new_log
 
+    for number in (None,) if args.episodes is None else range(args.episodes):
+        if args.log is not None:
+            check_new_log(_log_folder(args.log, number))
     limits = Limits(args.hold, args.min_valid, args.max_age, args.watchdog)
     setup = make_deployment(args, max_step=args.max_step, workspace=box)
     header = _header(setup, limits)
@@ -83,7 +91,6 @@ def _run(args: Arguments, box: Any) -> int:
 
     def run(number: int | None = None) -> Any:
         """Run once. Each of several episodes gets its own log, and the robot stays connected after it."""
-        folder = args.log if args.log is None or number is None else args.log / f"episode-{number:03}"
         return deploy(
             setup.env,
             setup.controller,
@@ -91,7 +98,7 @@ def _run(args: Arguments, box: Any) -> int:
             steps=setup.arguments.steps,
             seconds=None if args.seconds == inf else args.seconds,
             until_reached=args.until_reached,
-            log=None if folder is None else RunLog(folder, header),
+            log=None if args.log is None else RunLog(_log_folder(args.log, number), header),
             record=recorder,
             on_step=shown.step,
             park=args.park and number is None,
@@ -122,6 +129,10 @@ def _run(args: Arguments, box: Any) -> int:
         raise
     show(report)
     return 1 if failed else 0
+
+
+def _log_folder(log: Path, number: int | None) -> Path:
+    return log if number is None else log / f"episode-{number:03}"
 
 
 def _header(setup: Deployment, limits: Any) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 from tyro.conf import UseAppendAction
 
 from shape_obs.cli.options import warnings_as_lines
+from shape_obs.cli.outputs import Overwrite, check_outputs, note_output
 from shape_obs.cli.parsing import Option, parse, wrong_usage
 from shape_obs.utils.errors import UsageError
 
@@ -67,20 +68,23 @@ class Arguments:
     """Folder for the pictures."""
     save_config: Annotated[Path, Option("FILE", "output")] = Path("shape.yaml")
     """The file that --pick writes."""
+    overwrite: Overwrite = False
+    """Replace existing files; unchanged pictures of earlier runs are replaced in any case."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
     args = parse(Arguments, argv, "shape-obs detect", _check)
+    check_outputs(args, *(_overlay(args, path) for path in args.images), args.save_config if args.pick else None)
     from shape_obs.detector import ShapeDetector
     from shape_obs.utils.files import make_folder
 
     detector = ShapeDetector(**_detector_arguments(args))
-    out = make_folder(args.out)
+    make_folder(args.out)
     failed = 0
     for i, path in enumerate(_with_progress(args.images)):
         with warnings_as_lines("shape-obs detect"):
-            result = _detect(detector, args, i, out)
+            result = _detect(detector, args, i)
         failed += not result.get("ok", False)
         _say(_line(path, result), many=len(args.images) > 1)
         print(json.dumps({"image": str(path), **result}), flush=True)
@@ -136,7 +140,10 @@ def _check(args: Arguments) -> None:
     if args.config is None:
         _size(args.n, args.shape or "centerline")
     _count(args.count)
-    _check_unique_names(args.images)
+
+
+def _overlay(args: Arguments, image: Path) -> Path:
+    return args.out / f"{image.stem}.png"
 
 
 def _with_progress(images: tuple[Path, ...]) -> Iterable[Path]:
@@ -148,7 +155,7 @@ def _with_progress(images: tuple[Path, ...]) -> Iterable[Path]:
     return tqdm(images, unit="image")
 
 
-def _detect(detector: ShapeDetector, args: Arguments, i: int, out: Path) -> dict[str, Any]:
+def _detect(detector: ShapeDetector, args: Arguments, i: int) -> dict[str, Any]:
     """Detect the shape in one image; an error becomes part of the result, so that the other images are processed."""
     from shape_obs.camera import Intrinsics
     from shape_obs.drawing import draw_detection
@@ -166,8 +173,9 @@ def _detect(detector: ShapeDetector, args: Arguments, i: int, out: Path) -> dict
         detection = detector.detect(rgb, depth, camera)
     except (ValueError, TypeError, OSError) as error:
         return {"ok": False, "error": str(error)}
-    overlay = out / f"{path.stem}.png"
+    overlay = _overlay(args, path)
     write_image(overlay, draw_detection(rgb, detection))
+    note_output(overlay)
     return {**detection.to_dict(), "overlay": str(overlay)}
 
 
@@ -250,11 +258,3 @@ def _pixels(texts: Sequence[str], option: str) -> list[tuple[float, float]]:
             raise UsageError(f"{option}: expected u,v such as 300,123, got {text!r}.") from None
         pixels.append((u, v))
     return pixels
-
-
-def _check_unique_names(images: Sequence[Path]) -> None:
-    """Reject images of the same name, which would overwrite each other's picture."""
-    names = [path.stem for path in images]
-    twice = {name for name in names if names.count(name) > 1}
-    if twice:
-        raise UsageError(f"several images are named {sorted(twice)[0]!r}; their pictures would overwrite each other.")

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from shape_obs.cli.options import open_named, warnings_as_lines
+from shape_obs.cli.outputs import Overwrite
 from shape_obs.cli.parsing import Option, parse, wrong_usage
 from shape_obs.utils.documents import parse_yaml
 from shape_obs.utils.errors import UsageError
@@ -60,6 +61,8 @@ class Arguments:
     """Encode the camera's images as H.264 (needs the extra 'video')."""
     fps: Annotated[float | None, Option("HZ", "LeRobot", above=0, most=1000)] = None
     """Frames per second; default: the median rate of the stamps."""
+    overwrite: Overwrite = False
+    """Replace a LeRobot dataset that was changed since it was written; recordings and shapes are never replaced."""
     json: Annotated[bool, Option(group="output")] = False
     """Print the summary as JSON."""
 
@@ -212,11 +215,15 @@ def prepare(args: Any, config: dict[str, Any], tasks: Sequence[Task]) -> None:
         ValueError: The folder holds something else.
         ImportError: A required extra is missing.
     """
+    from shape_obs.extraction.dataset import DATASET_FILE
+    from shape_obs.extraction.lerobot import check_lerobot_folder
     from shape_obs.extraction.lerobot.videos import need_encoder
 
     if args.videos:
         need_encoder()
-    if args.out.is_dir() and any(args.out.iterdir()) and not (args.out / PARTS).is_dir():
+    if not args.overwrite:
+        check_lerobot_folder(args.out, args.out / PARTS)
+    if args.out.is_dir() and any(args.out.iterdir()) and not (args.out / PARTS / DATASET_FILE).is_file():
         raise ValueError(f"{args.out}: the folder is not empty, and holds no extraction: choose another --out.")
     if not config.get("features"):
         config["features"] = [{"kind": _shape_feature(tasks)}]
@@ -233,7 +240,7 @@ def convert(args: Any, job: Extraction, tasks: Sequence[Task]) -> dict[str, Any]
 
     names = " and the ".join(shape.name for shape in job.detector().shapes)
     task = f"move the {names}" if args.task is None else args.task
-    summary = write_lerobot(job, tasks, args.out, task=task, fps=args.fps, videos=args.videos)
+    summary = write_lerobot(job, tasks, args.out, task=task, fps=args.fps, videos=args.videos, overwrite=args.overwrite)
     return {"lerobot": asdict(summary)}
 
 

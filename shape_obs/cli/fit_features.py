@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
 from shape_obs.cli.options import open_named, read_settings, warnings_as_lines
+from shape_obs.cli.outputs import Overwrite, check_outputs
 from shape_obs.cli.parsing import Option, parse, wrong_usage
 from shape_obs.utils.documents import parse_yaml
 from shape_obs.utils.errors import UsageError, did_you_mean
@@ -58,6 +59,8 @@ class Arguments:
     """Largest number of frames from each source."""
     set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
     """Arguments of the sources."""
+    overwrite: Overwrite = False
+    """Replace existing files."""
     json: Annotated[bool, Option(group="output")] = False
     """Print the summary as JSON."""
 
@@ -115,6 +118,7 @@ def main(argv: Sequence[str]) -> int:
     for source in args.source:
         if source not in recordings and not Path(source).is_file():
             raise FileNotFoundError(f"{source}: no such file.")
+    check_outputs(args, args.out)
     from shape_obs.features.coordinates import Coordinates
 
     with wrong_usage():

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from shape_obs.cli.options import NEEDS_CONFIG, RobotArguments, make_env, make_robot, warnings_as_lines
+from shape_obs.cli.outputs import Overwrite, check_outputs
 from shape_obs.cli.parsing import Option, parse
 from shape_obs.utils.errors import UsageError, ending
 
@@ -30,6 +31,8 @@ class Arguments(RobotArguments):
     """Largest number of frames to wait for one that shows all points."""
     unmeasured: Annotated[bool, Option(group="detection")] = False
     """Also record points that are hidden or have no depth, at their estimated positions."""
+    overwrite: Overwrite = False
+    """Replace existing files."""
     json: Annotated[bool, Option(group="output")] = False
     """Print the goal as JSON."""
 
@@ -39,6 +42,8 @@ def main(argv: Sequence[str]) -> int:
     args = parse(Arguments, argv, "shape-obs goal")
     if args.robot is None and args.config is None:
         raise UsageError(NEEDS_CONFIG)
+    picture = args.out.with_suffix(".png")
+    check_outputs(args, args.out, picture)
     from shape_obs.drawing import draw_detection
     from shape_obs.utils.arrays import write_image
 
@@ -48,7 +53,6 @@ def main(argv: Sequence[str]) -> int:
         target, detection = _first_complete(env, args)
         rgb = env.get_wrapper_attr("frame").rgb
     target.save(args.out)
-    picture = args.out.with_suffix(".png")
     write_image(picture, draw_detection(rgb, detection))
     if args.json:
         print(json.dumps(target.to_dict()))

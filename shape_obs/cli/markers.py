@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from shape_obs.cli.options import DICTIONARY
+from shape_obs.cli.outputs import Overwrite, check_outputs
 from shape_obs.cli.parsing import Option, parse, wrong_usage
 from shape_obs.utils.errors import UsageError
 
@@ -31,6 +32,8 @@ class Arguments:
     """Side of a marker's black square in mm."""
     dictionary: Annotated[str, Option("NAME", "marker")] = DICTIONARY
     """Marker dictionary."""
+    overwrite: Overwrite = False
+    """Replace existing files."""
     paper: Annotated[Literal["a4", "letter"], Option(group="output")] = "a4"
     """Paper size."""
     charuco: Annotated[bool, Option(group="board")] = False
@@ -44,6 +47,7 @@ class Arguments:
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
     args = parse(Arguments, argv, "shape-obs markers", _check)
+    check_outputs(args, args.out)
     from shape_obs.markers.sheet import PER_MM, board_page, marker_pages, write_pages
 
     if args.charuco:

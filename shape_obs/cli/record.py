@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from shape_obs.cli.options import check_source, open_named, read_settings, warnings_as_lines
+from shape_obs.cli.outputs import Overwrite, check_outputs
 from shape_obs.cli.parsing import Option, parse
-from shape_obs.cli.rerun_option import TARGET, FrameLog, check_target, open_rerun, with_rerun_value
+from shape_obs.cli.rerun_option import TARGET, FrameLog, check_target, open_rerun, rerun_file, with_rerun_value
 from shape_obs.utils.errors import UsageError, ending
 
 if TYPE_CHECKING:
@@ -53,6 +54,8 @@ class Arguments:
     rerun: Annotated[str | None, Option(TARGET, "output", check=check_target)] = None
     """Also log the frames to rerun: to FILE.rrd, or to a running viewer by its address. Without a value, open the
     viewer, or write OUT.rrd if there is no display (needs the extra 'rerun')."""
+    overwrite: Overwrite = False
+    """Replace an existing FILE.rrd; recordings are never replaced."""
     json: Annotated[bool, Option(group="output")] = False
     """Print the summary as JSON."""
 
@@ -63,6 +66,7 @@ def main(argv: Sequence[str]) -> int:
     raw = args.out.suffix in (".db3", ".bag")
     if raw:
         _check_raw(args)
+    check_outputs(args, rerun_file(args.rerun, args.out))
     with warnings_as_lines("shape-obs record"):
         recorded = _raw(args) if raw else _folder(args)
     print(json.dumps(recorded.to_dict()) if args.json else summary(recorded))

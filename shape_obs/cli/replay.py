@@ -12,13 +12,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from shape_obs.cli.options import check_source, open_named, read_settings, warnings_as_lines
+from shape_obs.cli.outputs import Overwrite, check_outputs
 from shape_obs.cli.parsing import Option, parse
-from shape_obs.cli.rerun_option import TARGET, FrameLog, check_target, open_rerun, with_rerun_value, working_file
+from shape_obs.cli.rerun_option import (
+    TARGET,
+    FrameLog,
+    check_target,
+    open_rerun,
+    rerun_file,
+    with_rerun_value,
+    working_file,
+)
 from shape_obs.utils.errors import UsageError
 
 if TYPE_CHECKING:
     from shape_obs.detector import ShapeDetector
-    from shape_obs.drawing.rerun_stream import RerunStream
     from shape_obs.source import RGBDSource
 
 
@@ -45,6 +53,8 @@ class Arguments:
     rerun: Annotated[str | None, Option(TARGET, "output", check=check_target)] = None
     """Log frames, shapes and features to rerun: to FILE.rrd, or to a running viewer by its address. Without a value,
     open the viewer, or write a file next to the first output if there is no display (needs the extra 'rerun')."""
+    overwrite: Overwrite = False
+    """Replace existing files."""
     frames: Annotated[int | None, Option("N", "source", least=1)] = None
     """Largest number of frames."""
     extrinsics: Annotated[Path | None, Option("FILE", "source", existing="file of extrinsics")] = None
@@ -63,6 +73,8 @@ def main(argv: Sequence[str]) -> int:
     if args.config is None and not args.verify:
         raise UsageError("give --config FILE to detect with, or --verify to check the recording.")
     tables = _tables(args)
+    metadata = None if args.csv is None else args.csv.with_name(f"{args.csv.name}.meta.json")
+    check_outputs(args, *tables, metadata, args.video, rerun_file(args.rerun, _rerun_base(args, tables)))
     from shape_obs.config.config_file import load_config
     from shape_obs.recording.table import check_table_path
 
@@ -141,7 +153,10 @@ def _replay(args: Arguments, arguments: dict[str, Any], source: RGBDSource, tabl
     times = []
     with ExitStack() as stack:
         video = None if args.video is None else stack.enter_context(OverlayVideo(args.video))
-        stream = None if args.rerun is None else stack.enter_context(_stream(args, tables))
+        stream = None
+        if args.rerun is not None:
+            base = _rerun_base(args, tables)
+            stream = stack.enter_context(open_rerun(args.rerun, base, "shape-obs replay"))
         shown = None if stream is None else FrameLog(stream, detector, arguments)
         length = args.frames or (len(source) if hasattr(source, "__len__") else None)  # pyright: ignore[reportArgumentType]
         for moment, detection in tqdm(
@@ -178,10 +193,10 @@ def make_detector(arguments: dict[str, Any], source: RGBDSource) -> ShapeDetecto
     return detector
 
 
-def _stream(args: Arguments, tables: list[Path]) -> RerunStream:
-    """Open the stream of ``--rerun``; a file is written next to the first output, else into the working folder."""
+def _rerun_base(args: Arguments, tables: list[Path]) -> Path:
+    """Return the file of ``--rerun`` without its suffix: next to the first output, else in the working folder."""
     outputs = [path.with_suffix("") for path in (*tables, args.video) if path is not None]
-    return open_rerun(args.rerun or "", (*outputs, working_file(args.recording))[0], "shape-obs replay")
+    return (*outputs, working_file(args.recording))[0]
 
 
 def _lenient(arguments: dict[str, Any]) -> dict[str, Any]:

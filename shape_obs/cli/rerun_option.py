@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 from collections.abc import Mapping, Sequence
@@ -48,7 +49,19 @@ def check_target(value: str, name: str) -> None:
         raise UsageError(f"{name}: expected FILE.rrd or rerun+http://HOST:9876/proxy, got {value!r}.")
 
 
-def open_rerun(target: str | Path, output: Path, prog: str) -> RerunStream:
+def rerun_file(target: str | None, output: Path) -> Path | None:
+    """Return the file that ``--rerun`` writes; None if it opens a viewer, or was not given. See ``open_rerun``."""
+    if target == AUTO:
+        return None if has_display() else output.with_name(output.name + ".rrd")
+    return Path(target) if target is not None and target.endswith(".rrd") else None
+
+
+def has_display() -> bool:
+    """Return whether a window can be opened: on Linux, whether X11 or Wayland is there."""
+    return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def open_rerun(target: str, output: Path, prog: str) -> RerunStream:
     """Open the stream that ``--rerun`` asks for, and print on stderr where it goes.
 
     Args:
@@ -61,11 +74,9 @@ def open_rerun(target: str | Path, output: Path, prog: str) -> RerunStream:
         ValueError: The target is neither a file named ``*.rrd`` nor an address.
         OSError: The file cannot be written, or there is no viewer.
     """
-    from shape_obs.drawing.rerun_stream import VIEWER, RerunStream, has_display
+    from shape_obs.drawing.rerun_stream import VIEWER, RerunStream
 
-    if str(target) == AUTO:
-        target = VIEWER if has_display() else output.with_name(output.name + ".rrd")
-    stream = RerunStream(target)
+    stream = RerunStream(rerun_file(target, output) or (VIEWER if target == AUTO else target))
     if stream.path is not None:
         print(f"{prog}: logs to {stream.path}; open it with: rerun {stream.path}", file=sys.stderr)
     return stream

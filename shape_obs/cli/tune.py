@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 from shape_obs.cli.options import check_source, open_named, read_settings, warnings_as_lines
+from shape_obs.cli.outputs import Overwrite, check_outputs
 from shape_obs.cli.parsing import Option, parse
 from shape_obs.utils.errors import UsageError, ending
 
@@ -30,10 +31,12 @@ class Arguments:
     FILE.mcap, or the id of an environment."""
     config: Annotated[Path | None, Option("FILE", "settings", existing="config file")] = None
     """A YAML config file to start with."""
-    save: Annotated[Path | None, Option("FILE", "settings")] = None
-    """The YAML file that Save writes; by default --config, or shape.yaml."""
     read_only: Annotated[bool, Option(group="settings")] = False
     """Show everything, but change and save nothing."""
+    save: Annotated[Path | None, Option("FILE", "output")] = None
+    """The YAML file that Save writes; by default --config, or shape.yaml."""
+    overwrite: Overwrite = False
+    """Replace existing files."""
     port: Annotated[int, Option("N", "page", least=0, most=65535)] = 8600
     """Port of the page; 0 for any free port."""
     host: Annotated[str, Option("ADDRESS", "page")] = "127.0.0.1"
@@ -54,8 +57,11 @@ class Arguments:
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
     args = parse(Arguments, argv, "shape-obs tune", _check)
+    save = args.save or args.config or Path("shape.yaml")
+    if not args.read_only and not (args.config is not None and save.exists() and save.samefile(args.config)):
+        check_outputs(args, save)
     with warnings_as_lines("shape-obs tune"):
-        return _tune(args)
+        return _tune(args, save)
 
 
 def _check(args: Arguments) -> None:
@@ -70,7 +76,7 @@ def _is_photo(args: Arguments) -> bool:
     return path.suffix.lower() in PHOTOS and not path.is_dir()
 
 
-def _tune(args: Arguments) -> int:
+def _tune(args: Arguments, save: Path) -> int:
     from shape_obs.config.config_file import load_config
     from shape_obs.tuner.engine import Engine
     from shape_obs.tuner.server import Address, open_browser, serve
@@ -78,7 +84,7 @@ def _tune(args: Arguments) -> int:
 
     config = None if args.config is None else load_config(args.config)
     address = Address(args.host, args.port)
-    save = args.save or args.config or Path("shape.yaml")
+    before = save.read_bytes() if save.is_file() else b""
 
     def announce(url: str) -> None:
         print(f"Open {url} to tune {args.source}; Ctrl-C ends it.", flush=True)
@@ -86,7 +92,7 @@ def _tune(args: Arguments) -> int:
             open_browser(url)
 
     with address.bind() as listening:
-        engine = Engine(_open(args), Session(config, read_only=args.read_only))
+        engine = Engine(_open(args), Session(config, read_only=args.read_only, saved=before))
         with ending(engine.stop):
             engine.start()
             serve(engine, save, address.host, listening, announce)

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from shape_obs.cli.options import check_source, open_named, read_settings, warnings_as_lines
+from shape_obs.cli.outputs import Overwrite, check_outputs
 from shape_obs.cli.parsing import Option, parse
-from shape_obs.cli.rerun_option import AUTO, FrameLog, check_target, open_rerun, working_file
+from shape_obs.cli.rerun_option import AUTO, FrameLog, check_target, open_rerun, rerun_file, working_file
 from shape_obs.utils.errors import UsageError
 
 if TYPE_CHECKING:
@@ -30,6 +31,8 @@ class Arguments:
     """A YAML config file; also shows the shapes."""
     out: Annotated[str | None, Option("FILE.rrd", "output", "-o", check=check_target)] = None
     """Write this file, or show the recording in the running viewer with this address."""
+    overwrite: Overwrite = False
+    """Replace existing files."""
     frames: Annotated[int | None, Option("N", "source", least=1)] = None
     """Largest number of frames."""
     extrinsics: Annotated[Path | None, Option("FILE", "source", existing="file of extrinsics")] = None
@@ -41,6 +44,7 @@ class Arguments:
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
     args = parse(Arguments, argv, "shape-obs view")
+    check_outputs(args, rerun_file(args.out or AUTO, working_file(args.recording)))
     from shape_obs.config.config_file import load_config
 
     arguments = None if args.config is None else load_config(args.config)

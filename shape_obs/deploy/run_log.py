@@ -21,6 +21,7 @@ import numpy as np
 from shape_obs import __version__
 from shape_obs.config.detector_config import ALGORITHM
 from shape_obs.spec import to_plain
+from shape_obs.utils.documents import read_json
 from shape_obs.utils.errors import run_last
 from shape_obs.utils.files import write_whole
 
@@ -54,8 +55,7 @@ class RunLog:
 
     def __init__(self, folder: str | os.PathLike[str], header: Mapping[str, Any]) -> None:
         self.folder = Path(folder)
-        if (self.folder / STEPS).exists():
-            raise FileExistsError(f"{self.folder} holds a run already: choose another folder for the log.")
+        check_new_log(self.folder)
         self.folder.mkdir(parents=True, exist_ok=True)
         started = {
             "shape_obs": __version__,
@@ -119,6 +119,18 @@ class RunLog:
         self._tasks.put(None)
         self._thread.join()
         run_last(error, self._steps.close, self._raise_failure)
+
+
+def check_new_log(folder: Path) -> None:
+    """Check that a log can be written to a folder; the header of a run that did not begin may be there.
+
+    Raises:
+        FileExistsError: The folder holds a run, or a file of the same name.
+    """
+    header = folder / HEADER
+    begun = (folder / STEPS).exists() or (folder / REPORT).exists()
+    if begun or (header.exists() and "algorithm" not in read_json(header, "log")):
+        raise FileExistsError(f"{folder} holds a run already: choose another folder for the log.")
 
 
 class Section(NamedTuple):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import subprocess
 import sys
@@ -25,11 +24,6 @@ SUFFIX: Final = ".rrd"
 _PORT: Final = 9876  # rerun's own
 _LAST: Final = 5.0  # seconds in which a viewer must take what is left
 _PATIENCE: Final = 15.0  # seconds until a viewer that was started must accept connections
-
-
-def has_display() -> bool:
-    """Return whether a window can be opened: on Linux, whether X11 or Wayland is there."""
-    return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 class RerunStream:

@@ -59,7 +59,9 @@ class Session:
         SpecError: The arguments are not understood.
     """
 
-    def __init__(self, arguments: Mapping[str, Any] | None = None, *, read_only: bool = False) -> None:
+    def __init__(
+        self, arguments: Mapping[str, Any] | None = None, *, read_only: bool = False, saved: bytes = b""
+    ) -> None:
         self.read_only, self.version, self.error = read_only, 0, ""
         self.on_change: Callable[[], None] = lambda: None
         given = dict(arguments or {})
@@ -67,7 +69,7 @@ class Session:
         plain = {**given, "shapes": to_plain(config.shapes), "roi": to_plain(config.roi)}
         plain["segmentation"] = to_plain(config.segmentation)
         self._history = History(Settings(plain))
-        self._lock = threading.RLock()
+        self._lock, self._saved = threading.RLock(), saved
         self._detector, self._config = _detector_of(plain), config
 
     @property
@@ -220,13 +222,18 @@ class Session:
         Raises:
             PermissionError: The session is read-only.
             ValueError: There is no segmentation yet.
+            FileExistsError: The file is not as this session last knew it: another program wrote it.
             OSError: The file cannot be written.
         """
         if self.read_only:
             raise PermissionError(READ_ONLY)
         if self.rule is None:
             raise ValueError("Nothing to save yet: click on the object first.")
+        file = FilePath(path)
+        if file.exists() and file.read_bytes() != self._saved:
+            raise FileExistsError(f"{path} was changed by another program: move or rename it, then save again.")
         save_config(path, self.settings.arguments)
+        self._saved = file.read_bytes()
 
     def _change(self, settings: Settings, path: Path = ()) -> bool:
         if self.read_only:

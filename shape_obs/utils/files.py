@@ -111,6 +111,18 @@ def finish_file(temporary: Path, path: Path) -> None:
     _sync_folder(target.parent)
 
 
+def check_file(path: Path) -> None:
+    """Check that ``write_whole`` can write a file or replace it, as far as that is known before.
+
+    Raises:
+        OSError: It cannot.
+    """
+    try:
+        _target(path)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+
+
 def _target(path: Path) -> Path:
     """Return the file to replace, which is the target of a symbolic link even if it does not exist yet.
 

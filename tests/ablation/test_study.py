@@ -70,6 +70,10 @@ def test_results_table_and_pictures_of_what_is_done(study_file, clean, capsys):
     assert all(float(row["final_mm"]) > 0 for row in rows)
     assert Path(result["policy"]).parent.parent.parent == clean
     assert result["next"].startswith("it is for simulation only: "), "its arms read the simulator's state"
+    (clean / "table.md").write_text("mine")
+    assert run(study_file, "--out", clean, "--table-only") == 1
+    assert (clean / "table.md").read_text() == "mine"
+    assert run(study_file, "--out", clean, "--table-only", "--overwrite") == 0
 
 
 def test_every_run_leaves_a_policy_that_can_be_deployed(clean):
@@ -102,6 +106,15 @@ def test_another_config_for_the_same_folder_is_refused(clean, tmp_path, capsys):
     errors = capsys.readouterr().err
     assert "steps was 60, is now 90" in errors
     assert "normalize was {}, is now null" in errors
+
+
+def test_a_folder_of_something_else_is_kept(study_file, tmp_path):
+    mine = tmp_path / "small" / "seed0" / "photo.png"
+    mine.parent.mkdir(parents=True)
+    mine.write_bytes(b"mine")
+    with pytest.raises(FileExistsError, match="holds no run"):
+        sweep(load_study(study_file), left(load_study(study_file), tmp_path), here)
+    assert mine.read_bytes() == b"mine"
 
 
 def test_mistakes_are_reported_before_anything_runs(tmp_path, study_file, capsys):

@@ -124,7 +124,7 @@ def test_a_function_in_the_current_folder_segments(photo, run, monkeypatch):
         ("rope.png --pick 900,5", 1, "pixel (900, 5) lies outside the image of 320 x 240"),
         ("rope.png --pick 5,5", 1, "of the image looks like (5, 5)"),
         ("rope.png HSV --depth a.png", 2, "--depth needs --intrinsics"),
-        ("rope.png o/rope.png HSV", 2, "several images are named 'rope'"),
+        ("rope.png o/rope.png HSV", 2, "overlays/rope.png would be written twice"),
         ("rope.png HSV --count 0", 2, "count"),
         ("rope.png HSV --n 4x8", 2, "--n: a centerline has one number of points such as 20, got '4x8'"),
         ("rope.png HSV --out rope.png/o", 1, "cannot make the output folder rope.png/o"),
@@ -212,4 +212,6 @@ def test_demo_runs_without_gl_and_writes_its_pictures(tmp_path, run):
     for colour in (GOAL, VALID):
         assert (picture == colour).all(axis=2).any()
     assert getattr(Image.open(tmp_path / "demo.gif"), "n_frames", 1) >= 5
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["demo.gif", "demo.png"], "nothing half-written stays"
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".shape_obs.sha256", "demo.gif", "demo.png"], (
+        "nothing half-written stays"
+    )

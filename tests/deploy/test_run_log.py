@@ -34,8 +34,10 @@ def test_the_log_has_every_step_and_names_what_ran(tmp_path):
     header = json.loads((run / "run.json").read_text())
     assert (header["algorithm"], header["controller"]) == (ALGORITHM, "Sway")
     assert json.loads((run / "report.json").read_text())["steps"] == report.steps
-    with pytest.raises(FileExistsError, match="holds a run already"):
-        RunLog(run, {})
+    (tmp_path / "run.json").write_text("{}")  # another program's
+    for folder in (run, tmp_path):
+        with pytest.raises(FileExistsError, match="holds a run already"):
+            RunLog(folder, {})
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError("a mistake")])

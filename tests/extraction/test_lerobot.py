@@ -181,12 +181,19 @@ def test_a_second_run_keeps_the_shapes_and_replaces_the_dataset(place, made, tmp
     out = tmp_path / "again"
     shutil.copytree(made, out)
     (out / ".lerobot.0123").mkdir()  # left by a run that was killed
-    before = {path.name: path.stat().st_mtime_ns for path in (out / "extraction").iterdir()}
+    before = {path.name: path.stat().st_mtime_ns for path in (out / "extraction").glob("*.parquet")}
     code, result, err = extract(place / "r0", "--config", place / "c.yaml", "--to", "lerobot", "-o", out, "--fps", 10)
     assert (code, result["kept"], result["lerobot"]["episodes"]) == (0, 2, 2), err
     assert {name: (out / "extraction" / name).stat().st_mtime_ns for name in before} == before
     assert read(out, "info")["fps"] == 10
     assert sorted(path.name for path in out.iterdir()) == ["data", "extraction", "meta"]
+    (out / "meta" / "info.json").write_text("{}")  # by another program
+    again = (place / "r0", "--config", place / "c.yaml", "--to", "lerobot", "-o", out)
+    code, _, err = extract(*again)
+    assert (code, read(out, "info")) == (1, {})
+    assert "was changed since: give --overwrite" in err
+    shutil.rmtree(out / "meta")  # as a run that was killed while it replaced them
+    assert extract(*again)[0] == 0
 
 
 def test_recordings_without_a_robot_give_observations_only(place, tmp_path, extract):

@@ -146,6 +146,10 @@ def test_what_only_a_wrapper_reads_is_kept(tmp_path, clicked):
     session = Session(load_config(tmp_path / "a.yaml"))
     session.set(("shapes", 0, "n"), 9)
     session.save(tmp_path / "b.yaml")
+    session.save(tmp_path / "b.yaml")
+    (tmp_path / "a.yaml").write_text("# edited by hand")
+    with pytest.raises(FileExistsError, match="changed by another program"):
+        session.save(tmp_path / "a.yaml")
     assert [each["kind"] for each in load_config(tmp_path / "b.yaml")["features"]] == ["points2d"]
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+from shape_obs.cli.outputs import Overwrite, check_outputs, note_output
 from shape_obs.cli.parsing import Option, parse
 
 _PARTS = Literal["centerline", "contour", "surface", "gmm", "fcm", "kmeans", "kohonen", "som"]
@@ -24,6 +25,8 @@ class Arguments:
 
     out: Annotated[Path, Option("FOLDER", "output")] = Path("table")
     """Folder for the results."""
+    overwrite: Overwrite = False
+    """Replace existing files; unchanged tables of earlier runs are replaced in any case."""
     # ten frames are two episodes, the fewest that give an interval
     frames: Annotated[int, Option("N", "measurement", least=10)] = 200
     """Number of frames of each configuration."""
@@ -40,6 +43,8 @@ class Arguments:
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
     args = parse(Arguments, argv, "shape-obs bench table")
+    files = [args.out / "table.md", args.out / "table.csv"]
+    check_outputs(args, *files)
     from tqdm import tqdm
 
     from shape_obs.bench.report import as_csv, in_words, machine
@@ -48,13 +53,14 @@ def main(argv: Sequence[str]) -> int:
 
     names = [name for name in CONFIGURATIONS if name in args.only] or list(CONFIGURATIONS)
     methods = [method for method in LABELS if method in args.only] or list(LABELS)
-    folder = make_folder(args.out)
+    make_folder(args.out)
     with tqdm(total=len(names) * len(episodes(args.frames)), desc="table", leave=False, file=sys.stderr) as bar:
         found = summarised(measure(names, methods, args.frames, args.seed, args.clock, bar.update))
     what = f"{args.frames} frames of each configuration, seed {args.seed}, {args.clock} clock"
     page = f"{what}; {in_words(machine())}\n\n{markdown(found)}"
-    write_text(folder / "table.md", page)
-    write_text(folder / "table.csv", as_csv(found))
+    for path, text in zip(files, (page, as_csv(found)), strict=True):
+        write_text(path, text)
+        note_output(path)
     known = [
         {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in row.items()}
         for row in found

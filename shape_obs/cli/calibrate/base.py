@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from shape_obs.cli.options import DICTIONARY, check_source, open_named, read_settings, warnings_as_lines
+from shape_obs.cli.outputs import Overwrite, check_outputs
 from shape_obs.cli.parsing import Option, parse
 
 if TYPE_CHECKING:
@@ -47,6 +48,8 @@ class Arguments:
     """Number of days after which sources warn that the pose is old."""
     set: Annotated[tuple[str, ...], Option("KEY=VALUE ...", "source", check=read_settings)] = ()
     """Arguments of the source, such as exposure=0.01."""
+    overwrite: Overwrite = False
+    """Replace existing files."""
     json: Annotated[bool, Option(group="output")] = False
     """Print the result as JSON."""
 
@@ -54,6 +57,8 @@ class Arguments:
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
     args = parse(Arguments, argv, "shape-obs calibrate base")
+    asked = args.out.with_name(f"{args.out.stem}_touches.csv") if args.touches is None else None
+    check_outputs(args, args.out, asked)
     from shape_obs.calibration import read_touches
     from shape_obs.calibration.touch_points import sight
 
@@ -61,9 +66,9 @@ def main(argv: Sequence[str]) -> int:
     with warnings_as_lines("shape-obs calibrate base"), open_named(args.source, settings=args.set) as source:
         seen = sight(source, args.frames, args.dictionary, None if args.size is None else args.size / 1000)
         serial = getattr(source, "serial", None)
-    if given is None:
+    if asked is not None:
         print(f"visible: markers {', '.join(map(str, seen.markers))}", file=sys.stderr)
-        given = ask_touches(seen.markers, args.out.with_name(f"{args.out.stem}_touches.csv"))
+        given = ask_touches(seen.markers, asked)
     touches = _visible(given, seen.corners)
     fit = _fitted(touches, seen, serial, args)
     while args.leave_out and fit.suspect is not None:

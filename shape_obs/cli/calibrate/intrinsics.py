@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from shape_obs.cli.markers import board_from
 from shape_obs.cli.options import DICTIONARY, check_source, open_named, read_settings, warnings_as_lines
+from shape_obs.cli.outputs import Overwrite, check_outputs
 from shape_obs.cli.parsing import Option, parse
 
 if TYPE_CHECKING:
@@ -32,6 +33,8 @@ class Arguments:
     video file) or the id of an environment."""
     out: Annotated[Path, Option("FILE", "output", "-o")] = Path("intrinsics.json")
     """File for the result."""
+    overwrite: Overwrite = False
+    """Replace existing files."""
     views: Annotated[int, Option("N", "source", least=1)] = 20
     """Number of different views to take from a camera; the largest number for a recording."""
     seconds: Annotated[float, Option("SECONDS", "source", above=0)] = 120.0
@@ -51,6 +54,7 @@ class Arguments:
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
     args = parse(Arguments, argv, "shape-obs calibrate intrinsics")
+    check_outputs(args, args.out)
     with warnings_as_lines("shape-obs calibrate intrinsics"), open_named(args.source, settings=args.set) as source:
         fit = _measured(source, args)
     fit.save(args.out)

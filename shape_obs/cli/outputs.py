@@ -1,0 +1,89 @@
+"""Protect the user's files: no command writes over what it reads, or replaces what it did not write itself."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import unicodedata
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+from shape_obs.cli.parsing import Option, options_of
+from shape_obs.utils.errors import UsageError
+from shape_obs.utils.files import check_file
+
+#: The option ``--overwrite``, which every command that writes files has.
+Overwrite = Annotated[bool, Option(group="output")]
+#: The manifest of a folder of results: what commands wrote there, as lines that ``sha256sum --check`` reads.
+MANIFEST: Final = ".shape_obs.sha256"
+
+
+def check_outputs(args: Any, *paths: Path | None) -> None:
+    """Check that a command may write files, before it does any work.
+
+    An existing file is replaced with ``--overwrite``, or if the manifest of its folder has its checksum: a command
+    wrote it, and nobody has changed it since. A file that the command reads, under whatever name, is never replaced.
+
+    Args:
+        args: The arguments of the command. Options outside of the group "output" are what it reads.
+        paths: All files that the command will write; None for those that it will not.
+
+    Raises:
+        UsageError: A file would be written over an input, or twice.
+        FileExistsError: A file exists and may not be replaced.
+        OSError: An existing file cannot be replaced: it is a folder, a device or read-only.
+    """
+    files = [path for path in paths if path is not None]
+    keys = [_key(path) for path in files]
+    for key, path in zip(keys, files, strict=True):
+        if keys.count(key) > 1:
+            raise UsageError(f"{path} would be written twice: choose different names.")
+    existing = [path for path in files if path.exists()]
+    for path in existing:
+        for source in _inputs(args):
+            if os.path.samefile(source, path):
+                raise UsageError(f"{path} would be written over the input {source}: choose another name or folder.")
+            if os.path.isdir(source) and os.path.realpath(path).startswith(os.path.realpath(source) + os.sep):
+                raise UsageError(f"{path} exists in the folder {source}, which is read: choose another name or folder.")
+        check_file(path)
+    kept = [path for path in existing if not args.overwrite and not _is_own(path)]
+    if kept:
+        others = f", and so do {len(kept) - 1} others" if len(kept) > 1 else ""
+        raise FileExistsError(f"{kept[0]} exists{others}: give --overwrite to replace it, or choose another name.")
+
+
+def note_output(path: Path) -> None:
+    """Add a file to the manifest of its folder, so that a later run may replace it as long as it is unchanged."""
+    with (path.parent / MANIFEST).open("a", encoding="utf-8") as manifest:
+        manifest.write(f"{_digest(path)}  {path.name}\n")
+
+
+def _is_own(path: Path) -> bool:
+    """Return whether the manifest of the folder has the file as it is now; later lines replace earlier ones."""
+    try:
+        lines = (path.parent / MANIFEST).read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError):  # missing or damaged: the file may be anyone's
+        return False
+    known = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
+    return known.get(path.name) == _digest(path)
+
+
+def _inputs(args: Any) -> Iterator[str]:
+    """Yield the files and folders that the arguments name, without outputs."""
+    for name, option in options_of(type(args)).items():
+        value = getattr(args, name)
+        for each in value if isinstance(value, tuple) else (value,):
+            if option.group != "output" and isinstance(each, (str, Path)) and os.path.exists(each):
+                yield str(each)
+
+
+def _key(path: Path) -> str:
+    """Return a text that is equal for two names of one file that may not exist yet."""
+    key = os.path.realpath(path)
+    return unicodedata.normalize("NFC", key).casefold() if sys.platform in ("win32", "darwin") else key
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
