@@ -24,7 +24,7 @@ def check_outputs(args: Any, *paths: Path | None) -> None:
     """Check that a command may write files, before it does any work.
 
     An existing file is replaced with ``--overwrite``, or if the manifest of its folder has its checksum: a command
-    wrote it, and nobody has changed it since. A file that the command reads, under whatever name, is never replaced.
+    wrote it, and it is unchanged since. A file that the command reads, under any name, is never replaced.
 
     Args:
         args: The arguments of the command. Options outside of the group "output" are what it reads.

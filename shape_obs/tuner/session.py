@@ -222,7 +222,7 @@ class Session:
         Raises:
             PermissionError: The session is read-only.
             ValueError: There is no segmentation yet.
-            FileExistsError: The file is not as this session last knew it: another program wrote it.
+            FileExistsError: Another program changed the file since it was opened or saved.
             OSError: The file cannot be written.
         """
         if self.read_only:

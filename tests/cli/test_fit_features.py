@@ -80,8 +80,8 @@ def test_another_place_of_the_camera(run, table, tmp_path, overhead):
     Extrinsics(T=raised.tolist()).save(tmp_path / "e.json")
     heights = []
     for extra in ((), ("--extrinsics", tmp_path / "e.json")):
-        assert run("fit-features", tmp_path / "t.npz", "-o", tmp_path / "o.npz", *BASE, *extra)[0] == 0
-        heights.append(PointDistribution.load(tmp_path / "o.npz").mean[:, 2])
+        assert run("fit-features", tmp_path / "t.npz", "-o", tmp_path / f"{len(extra)}.npz", *BASE, *extra)[0] == 0
+        heights.append(PointDistribution.load(tmp_path / f"{len(extra)}.npz").mean[:, 2])
     np.testing.assert_allclose(heights[1] - heights[0], 0.5, atol=1e-6)
 
 

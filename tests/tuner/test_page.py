@@ -123,7 +123,7 @@ def test_from_a_click_to_a_file_that_gives_the_same_points(browser, which, drawn
         expect_text(page, ".q-dialog", "Saved")
     config = load_config(tmp_path / "shape.yaml")
     assert config["segmentation"]["strictness"] == pytest.approx(before - 0.1, abs=0.06)
-    np.testing.assert_allclose(detected(capsys, photo, tmp_path / "shape.yaml", tmp_path), shown, atol=0.06)
+    np.testing.assert_allclose(detected(capsys, photo, tmp_path / "shape.yaml", tmp_path / "o"), shown, atol=0.06)
 
 
 @pytest.mark.nightly

@@ -62,7 +62,7 @@ def main(argv: Sequence[str]) -> int:
     from shape_obs.calibration import read_touches
     from shape_obs.calibration.touch_points import sight
 
-    given = None if args.touches is None else read_touches(args.touches)
+    given = [] if args.touches is None else read_touches(args.touches)
     with warnings_as_lines("shape-obs calibrate base"), open_named(args.source, settings=args.set) as source:
         seen = sight(source, args.frames, args.dictionary, None if args.size is None else args.size / 1000)
         serial = getattr(source, "serial", None)

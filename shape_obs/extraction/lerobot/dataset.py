@@ -41,7 +41,8 @@ def write_lerobot(
 ) -> LeRobotSummary:
     """Write the episodes of an extraction as a LeRobot dataset, completely or not at all.
 
-    One that was written from this extraction before, and was not changed since, is replaced. Timestamps are multiples of ``1 / fps``, as LeRobot expects them.
+    One that was written from this extraction before, and was not changed since, is replaced.
+    Timestamps are multiples of ``1 / fps``, as LeRobot expects them.
 
     Args:
         job: The extraction, whose dataset in ``job.out`` is complete.
