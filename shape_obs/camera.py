@@ -6,6 +6,7 @@ frame is the optical frame ``(x right, y down, z forward)`` in metres; depth is 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, Literal, get_args
@@ -14,8 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.spec import Spec
+from shape_obs.spec import Spec, SpecError, did_you_mean
 
+#: A camera in any form that ``as_camera_model`` reads.
+CameraLike = Any
 Distortion = Literal["pinhole", "brown_conrady", "inverse_brown_conrady"]
 _INVERSE: Final = 2  # the number of librealsense's model among ``Distortion``
 _MAX_ITERATIONS: Final = 60
@@ -48,6 +51,10 @@ class Intrinsics(Spec):
             (librealsense's, in which the tangential part acts on the radially distorted point).
         coeffs: ``(k1, k2, p1, p2, k3)``; all zero for a pinhole.
 
+    Raises:
+        SpecError: A value has a wrong type, or the model is unknown.
+        ValueError: A value is out of range, or a pinhole has coefficients.
+
     References:
         D. C. Brown, "Decentering Distortion of Lenses", Photogrammetric Engineering 32(3), 1966; librealsense,
         ``rsutil.h``: ``rs2_project_point_to_pixel`` and ``rs2_deproject_pixel_to_point``.
@@ -77,6 +84,12 @@ class Intrinsics(Spec):
             raise ValueError(
                 f"Intrinsics: coeffs must be five numbers (k1, k2, p1, p2, k3) in +-{_MAX_COEFF:g}, got {self.coeffs}."
             )
+        if self.model == "pinhole" and any(self.coeffs):
+            raise ValueError(
+                f"Intrinsics: a pinhole has no distortion, but coeffs are {self.coeffs}: add model='brown_conrady' for "
+                "OpenCV's and ROS's coefficients or model='inverse_brown_conrady' for those of a RealSense colour "
+                "stream, or leave them out if the image is rectified."
+            )
 
     @property
     def matrix(self) -> npt.NDArray[np.float64]:
@@ -86,7 +99,7 @@ class Intrinsics(Spec):
     @property
     def distorted(self) -> bool:
         """Whether the model bends straight lines."""
-        return self.model != "pinhole" and any(self.coeffs)
+        return any(self.coeffs)
 
     def project(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """Project points to pixels.
@@ -161,7 +174,7 @@ class CameraModel:
     """A camera and where it stands.
 
     Args:
-        intrinsics: The projection.
+        intrinsics: The projection, in any form that ``as_camera_model`` reads.
         transform_camera_to_base: ``(4, 4)`` homogeneous transform, metres, ``p_base = T p_camera``; None if unknown.
     """
 
@@ -169,6 +182,7 @@ class CameraModel:
     transform_camera_to_base: npt.NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "intrinsics", as_intrinsics(self.intrinsics))
         if self.transform_camera_to_base is None:
             return
         transform = np.array(self.transform_camera_to_base, dtype=np.float64)
@@ -292,13 +306,36 @@ def viewing_rays(pixels: npt.NDArray[np.float64], lens: npt.NDArray[np.float64])
     return rays
 
 
-def as_camera_model(camera: CameraModel | Intrinsics | None) -> CameraModel | None:
-    """Accept bare intrinsics where a camera model is asked for."""
-    if isinstance(camera, Intrinsics):
-        return CameraModel(camera)
+def as_camera_model(camera: CameraLike, size: tuple[int, int] | None = None) -> CameraModel | None:
+    """Return the camera model that a camera in any of these forms describes; None stays None.
+
+    Args:
+        camera: A ``CameraModel`` or ``Intrinsics``, or their mappings; librealsense's ``rs.intrinsics``; a ROS
+            ``CameraInfo``, as a message or a mapping, of an image that is not rectified; OpenCV's K, a 3 x 3 matrix, or
+            ``(K, D)`` with the distortion coefficients, or ``(K, D, (width, height))``.
+        size: ``(H, W)`` of the images, for a K without a size.
+
+    Raises:
+        TypeError: It is none of these.
+        ValueError: A value is missing or out of range, or the lens model is not one of ``Intrinsics``.
+    """
     if camera is None or isinstance(camera, CameraModel):
         return camera
-    raise TypeError(f"camera: expected Intrinsics, CameraModel or None, got {type(camera).__name__}.")
+    if not isinstance(camera, Mapping) or "intrinsics" not in camera:
+        return CameraModel(as_intrinsics(camera, size))
+    for name in camera:
+        if name not in (known := ("intrinsics", "transform_camera_to_base")):
+            raise SpecError(f"camera: unknown field {name!r}{did_you_mean(name, known)}")
+    return CameraModel(as_intrinsics(camera["intrinsics"], size), camera.get("transform_camera_to_base"))
+
+
+def as_intrinsics(camera: CameraLike, size: tuple[int, int] | None = None) -> Intrinsics:
+    """Return the intrinsics that a camera without a pose describes, see ``as_camera_model``."""
+    if isinstance(camera, Intrinsics):
+        return camera
+    from shape_obs.foreign_cameras import read_intrinsics
+
+    return read_intrinsics(camera, size)
 
 
 def _as_points(points: npt.ArrayLike, dimension: int, name: str) -> npt.NDArray[np.float64]:

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
+from shape_obs.camera import CameraLike, as_camera_model
 from shape_obs.clustering.base import Clusterer
 from shape_obs.compiled import compile_now
 from shape_obs.config.detector_config import DetectorConfig
@@ -114,7 +114,7 @@ class ShapeDetector:
         self,
         rgb: npt.NDArray[np.uint8] | None,
         depth: npt.NDArray[Any] | None = None,
-        camera: CameraModel | Intrinsics | None = None,
+        camera: CameraLike = None,
         *,
         stamp: float | None = None,
         anchors: Anchors = None,
@@ -124,17 +124,18 @@ class ShapeDetector:
         Args:
             rgb: ``(H, W, 3)`` uint8, RGB order; may be None for a segmentation by depth.
             depth: ``(H, W)`` uint16 millimetres or floating metres, aligned to rgb; 0, negative, NaN = invalid.
-            camera: Intrinsics, or a camera model with its place in the base frame; with depth it gives 3D.
+            camera: Intrinsics, or a camera model with its place in the base frame; with depth it gives 3D. The forms of
+                librealsense, ROS and OpenCV are read too, see ``as_camera_model``.
             stamp: In seconds; without stamps frames are ``dt`` apart.
             anchors: Name -> pixel (u, v) or base-frame point (x, y, z), for configurations with a named anchor.
 
         Raises:
-            TypeError: An array of a wrong dtype.
+            TypeError: An array of a wrong dtype, or what is no camera.
             ValueError: A wrong shape, sizes that do not fit together, or an anchor that cannot be resolved.
             ShapeLostError: A shape was not found and ``on_missing="raise"``.
         """
         begin = time.perf_counter()
-        frame = Frame(rgb, depth, camera if isinstance(camera, CameraModel) else as_camera_model(camera), stamp)
+        frame = Frame(rgb, depth, camera, stamp)
         if rgb is None and depth is None:
             raise ValueError("detect needs an rgb or a depth image, got neither.")
         for name in self._without_rule:
@@ -148,7 +149,7 @@ class ShapeDetector:
         self,
         mask: npt.NDArray[Any],
         depth: npt.NDArray[Any] | None = None,
-        camera: CameraModel | Intrinsics | None = None,
+        camera: CameraLike = None,
         *,
         rgb: npt.NDArray[np.uint8] | None = None,
         stamp: float | None = None,
@@ -160,14 +161,14 @@ class ShapeDetector:
         ropes have unlike colours.
         """
         begin = time.perf_counter()
-        frame = Frame(rgb, depth, as_camera_model(camera), stamp)
+        frame = Frame(rgb, depth, as_camera_model(camera, np.shape(mask)[:2]), stamp)
         return self._detect_in_image(frame, check_given_mask(mask, frame), anchors, begin)
 
     def detect_cloud(
         self,
         points: npt.NDArray[np.floating[Any]],
         *,
-        camera: CameraModel | Intrinsics | None = None,
+        camera: CameraLike = None,
         stamp: float | None = None,
         anchors: Anchors = None,
     ) -> Detection:
@@ -190,7 +191,7 @@ class ShapeDetector:
         from shape_obs.point_cloud.cloud import read_cloud  # most detectors only see images
 
         begin = time.perf_counter()
-        frame, cloud = Frame(None, None, as_camera_model(camera), stamp), read_cloud(points)
+        frame, cloud = Frame(None, None, camera, stamp), read_cloud(points)
         if self._units.pending:
             self._units.look_at_cloud(cloud.points)
         now = _lap(timings := {}, "cloud", begin)

@@ -11,7 +11,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import CameraModel
+from shape_obs.camera import CameraModel, as_camera_model
+from shape_obs.image.layout import advice, apply, steps_to_depth, steps_to_rgb
+from shape_obs.utils.array_like import plain_array
 
 MILLIMETRE: Final = 1e-3  # metres; the unit of depth in whole numbers
 FARTHEST: Final = 1e6  # metres; what lies beyond is garbage, and would overflow single precision
@@ -31,9 +33,10 @@ class Frame:
 
     Args:
         rgb: ``(H, W, 3)`` uint8, RGB order; None when only a mask or depth is at hand.
-        depth: (H,W) uint16 millimetres or floating metres along the optical axis; 0, negative, non-finite or absurd
-            (1000 km) = invalid. What is neither uint16 nor float32, or not stored row by row, is converted here, once.
-        camera: The camera model; needed for 3D and for anchors in the base frame.
+        depth: (H,W) uint16 millimetres or floating metres along the optical axis; 0, negative, non-finite, masked or
+            absurd (1000 km) = invalid. What is neither uint16 nor float32, or not stored row by row, is converted here.
+        camera: The camera model, or what ``as_camera_model`` makes one of; needed for 3D and for anchors in the base
+            frame.
         stamp: Seconds; None when the source has no clock.
         received: When it reached this machine: ``time.monotonic()``, seconds; None if unknown.
         number: The source's own count of its frames; gaps are missed frames. None if it does not count.
@@ -58,11 +61,12 @@ class Frame:
     size: tuple[int, int] | None = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        rgb, depth, camera, stamp = self.rgb, self.depth, self.camera, self.stamp
+        rgb, depth, stamp = self.rgb, self.depth, self.stamp
         if rgb is not None:
-            _check_rgb(rgb)
+            rgb = _checked_rgb(rgb)
+            object.__setattr__(self, "rgb", rgb)
         if depth is not None:
-            depth = _check_depth(depth)
+            depth = _checked_depth(depth)
             object.__setattr__(self, "depth", depth)
             if rgb is not None and depth.shape != rgb.shape[:2]:
                 raise ValueError(
@@ -70,7 +74,10 @@ class Frame:
                     "give depth aligned to the colour image (rs.align, or render both with one camera)."
                 )
         image = rgb if rgb is not None else depth
-        object.__setattr__(self, "size", None if image is None else image.shape[:2])
+        size = None if image is None else (image.shape[0], image.shape[1])
+        object.__setattr__(self, "size", size)
+        camera = as_camera_model(self.camera, size)
+        object.__setattr__(self, "camera", camera)
         if camera is not None and image is not None:
             width, height = camera.intrinsics.width, camera.intrinsics.height
             if (height, width) != image.shape[:2]:
@@ -130,23 +137,28 @@ def depth_in_metres(depth: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     return metres
 
 
-def _check_rgb(rgb: Any) -> None:
+def _checked_rgb(given: Any) -> npt.NDArray[np.uint8]:
+    rgb = plain_array(given, "rgb")
     if not isinstance(rgb, np.ndarray) or rgb.dtype != _BYTE:
         raise TypeError(
             f"rgb: expected a numpy array of uint8 (0...255), got {_describe(rgb)}; scale floats in 0...1 by 255."
         )
     if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.size == 0:
-        raise ValueError(f"rgb: expected shape (H, W, 3), RGB order, got {rgb.shape}.")
+        hint = advice("rgb", steps_to_rgb(rgb.shape))
+        raise ValueError(f"rgb: expected shape (H, W, 3), RGB order, got {rgb.shape}{hint}")
+    return rgb
 
 
-def _check_depth(depth: Any) -> npt.NDArray[Any]:
+def _checked_depth(given: Any) -> npt.NDArray[Any]:
+    depth = plain_array(given, "depth", masked=0)
     if not isinstance(depth, np.ndarray) or not (depth.dtype == _WORD or np.issubdtype(depth.dtype, np.floating)):
-        raise TypeError(f"depth: expected uint16 millimetres or floating metres, got {_describe(depth)}.")
-    if depth.ndim == 3 and depth.shape[2] == 1:
-        depth = depth[:, :, 0]
-    if depth.ndim != 2 or depth.size == 0:
+        whole = isinstance(depth, np.ndarray) and depth.dtype.kind in "iu"
+        hint = "; of whole millimetres give depth.astype(np.uint16)" if whole else ""
+        raise TypeError(f"depth: expected uint16 millimetres or floating metres, got {_describe(depth)}{hint}.")
+    steps = steps_to_depth(depth.shape)
+    if steps is None:
         raise ValueError(f"depth: expected shape (H, W), got {depth.shape}.")
-    return _as_stored(depth)
+    return _as_stored(apply(depth, steps) if steps else depth)
 
 
 def _size(image: npt.NDArray[Any]) -> str:

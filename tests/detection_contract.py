@@ -142,7 +142,7 @@ def watched() -> Iterator[list[str]]:
             given = {**dict(zip(names, args, strict=False)), **options}
             depth, image = given.get("depth"), given[names[0]]
             shown: Any = depth if image is None else image
-            height, width = (0, 0) if of_cloud else shown.shape[:2]
+            height, width = (0, 0) if of_cloud else np.shape(shown)[:2]
             in_3d = of_cloud or (depth is not None and given.get("camera") is not None)
             what = {"in_2d": not of_cloud, "in_3d": in_3d, "diagonal": math.hypot(width, height)}
             broken.extend(broken_detection(detection, self, stamp=given.get("stamp"), **what))

@@ -1,8 +1,9 @@
-"""Projection and back, against OpenCV, librealsense and plain matrices."""
+"""Projection and back, against OpenCV, librealsense and plain matrices, and cameras as other libraries have them."""
 
 from __future__ import annotations
 
 import ctypes
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -11,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shape_obs import CameraModel, Intrinsics
-from shape_obs.camera import DepthNoise
+from shape_obs import CameraModel, Intrinsics, ShapeDetector
+from shape_obs.camera import DepthNoise, as_camera_model
 
 MODELS = ("pinhole", "brown_conrady", "inverse_brown_conrady")
 # a real D455 at 1280 x 800, the magnitudes of librealsense's and of wider lenses
@@ -33,6 +34,11 @@ COEFFS = st.tuples(
 ).filter(unfolded)
 
 
+def lens(model: str, coeffs: Any) -> Intrinsics:
+    """Return a lens, without the coefficients if it is a pinhole."""
+    return Intrinsics(**D455, model=model, coeffs=coeffs if model != "pinhole" else (0,) * 5)
+
+
 def grid(intrinsics: Intrinsics) -> np.ndarray:
     u, v = np.meshgrid(np.linspace(0, intrinsics.width - 1, 9), np.linspace(0, intrinsics.height - 1, 7))
     return np.stack([u.ravel(), v.ravel()], axis=1)
@@ -41,7 +47,7 @@ def grid(intrinsics: Intrinsics) -> np.ndarray:
 @pytest.mark.parametrize("model", MODELS)
 @given(coeffs=COEFFS, z=st.floats(0.1, 10))
 def test_a_pixel_lifted_and_projected_is_itself(model, coeffs, z):
-    camera = Intrinsics(**D455, model=model, coeffs=coeffs)
+    camera = lens(model, coeffs)
     pixels = grid(camera)
     points = camera.deproject(pixels, np.full(len(pixels), z))
     np.testing.assert_allclose(points[:, 2], z)
@@ -74,14 +80,15 @@ def realsense() -> Any:
 
 @pytest.mark.parametrize(
     ("model", "theirs"),
-    [("pinhole", "none"), ("brown_conrady", "brown_conrady"), ("inverse_brown_conrady", "inverse_brown_conrady")],
+    [*zip(MODELS, ("none", *MODELS[1:]), strict=True)],
 )
 def test_librealsense_agrees(realsense, model, theirs):
     coeffs = (-0.056, 0.067, 4e-4, -6e-4, -0.021)  # a D455's, as its firmware reports them
-    camera = Intrinsics(**D455, model=model, coeffs=coeffs)
     raw = realsense.intrinsics()
     raw.width, raw.height, raw.fx, raw.fy, raw.ppx, raw.ppy = 1280, 800, 636.5, 635.9, 644.4, 407.8
     raw.model, raw.coeffs = getattr(realsense.distortion, theirs), list(coeffs)
+    camera = CameraModel(raw).intrinsics
+    assert camera.model == model
     pixels = grid(camera)
     lifted = np.array([realsense.rs2_deproject_pixel_to_point(raw, pixel, 0.7) for pixel in pixels.tolist()])
     np.testing.assert_allclose(camera.deproject(pixels, np.full(len(pixels), 0.7)), lifted, atol=2e-5)  # it stops early
@@ -90,9 +97,67 @@ def test_librealsense_agrees(realsense, model, theirs):
     np.testing.assert_allclose(camera.project(points), projected, atol=2e-3)  # it counts in single precision
 
 
+K, D = np.array([[600.0, 0, 319.0], [0, 601.0, 242.0], [0, 0, 1]]), np.array([[0.1, 0.01, 1e-3, 2e-3, 0.0]])
+PINHOLE = Intrinsics(640, 480, 600.0, 601.0, 319.0, 242.0)
+BENT = Intrinsics(640, 480, 600.0, 601.0, 319.0, 242.0, "brown_conrady", tuple(D[0]))
+SIZE = {"width": 640, "height": 480}
+REALSENSE = {**SIZE, "fx": 600.0, "fy": 601.0, "ppx": 319.0, "ppy": 242.0, "coeffs": D[0].tolist()}
+
+
+@pytest.mark.parametrize(
+    ("camera", "expected"),
+    [
+        (K, PINHOLE),
+        ((K, D), BENT),
+        ([K.tolist(), D[0, :4].tolist()], BENT),
+        ((K, None, (640, 480)), PINHOLE),
+        (SimpleNamespace(**SIZE, k=K.ravel(), d=[*D[0], 0, 0, 0], distortion_model="rational_polynomial"), BENT),
+        ({**SIZE, "K": K.ravel().tolist(), "D": D[0].tolist(), "distortion_model": "plumb_bob"}, BENT),
+        ({"camera_matrix": {"rows": 3, "cols": 3, "data": K.ravel().tolist()}, "image_width": 640,
+          "image_height": 480, "distortion_coefficients": {"data": D[0].tolist()}}, BENT),
+        (SimpleNamespace(**SIZE, intrinsic_matrix=K), PINHOLE),  # Open3D's
+        ({**REALSENSE, "model": "Brown Conrady"}, BENT),
+        (SimpleNamespace(**REALSENSE, model="distortion.none"), PINHOLE),
+        (SimpleNamespace(get_intrinsics=lambda: SimpleNamespace(**REALSENSE, model="distortion.none")), PINHOLE),
+        ({"intrinsics": PINHOLE.to_dict(), "transform_camera_to_base": np.eye(4).tolist()}, PINHOLE),
+    ],
+)  # fmt: skip
+def test_cameras_of_other_libraries_are_read_wherever_one_is_given(camera, expected):
+    made = as_camera_model(camera, (480, 640))
+    assert made is not None
+    assert made.intrinsics == expected
+    mask, depth = np.zeros((480, 640), np.uint8), np.full((480, 640), 0.7, np.float32)
+    mask[100:110, 50:600] = 1
+    for one in (camera, expected):
+        points = ShapeDetector().detect_mask(mask, depth, one).shapes[0].points3d
+        assert points is not None
+        np.testing.assert_allclose(expected.project(points)[:, 1], 104.5, atol=0.6)
+
+
+@pytest.mark.parametrize(
+    ("camera", "hint"),
+    [
+        (K.T, "expected K as"),
+        (2 * K, "expected K as"),
+        (np.zeros((3, 3)), "not calibrated"),
+        (np.eye(4), "3 x 3"),
+        (np.diag([2.0, 2, 1]) @ K, "another size"),
+        ((K, [0.1, 0, 0, 0, 0, 0.2, 0, 0]), "rectify the image"),
+        ({**SIZE, "k": K.ravel(), "d": D[0, :4], "distortion_model": "equidistant"}, "rectify the image"),
+        ({**SIZE, "k": K.ravel(), "d": [], "binning_x": 2}, "binning"),
+        ({**REALSENSE, "model": "distortion.kannala_brandt4"}, "lens model is 'kannala_brandt4'"),
+        ({"intrinsics": PINHOLE, "transform": np.eye(4)}, "did you mean 'transform_camera_to_base'"),
+        ({**SIZE, "fx": 600.0}, "missing fy"),
+    ],
+)
+def test_what_describes_no_camera_that_can_be_used_is_refused(camera, hint):
+    with pytest.raises(ValueError, match=hint):
+        as_camera_model(camera, (480, 640))
+
+
 @pytest.mark.parametrize("model", MODELS)
 def test_unknown_depth_and_pixels_stay_unknown(model):
-    camera = Intrinsics(**D455, model=model, coeffs=(0.01, 0, 0, 0, 0))
+    camera = lens(model, (0.01, 0, 0, 0, 0))
     points = camera.deproject([[10.0, 10.0], [np.nan, 1.0], [20.0, 20.0]], [np.nan, 1.0, 1.0])
     assert np.isnan(points[:2]).any(axis=1).all()
     np.testing.assert_allclose(camera.project(points[2]), [20, 20], atol=1e-6)
@@ -129,6 +194,7 @@ def test_the_pose_is_a_copy_that_cannot_be_written():
         ({"cx": float("nan")}, "cx and cy must lie in .-1e.09 pixels, got nan and 407.8"),
         ({"width": 0}, "width and height must be positive, got 0 x 800"),
         ({"coeffs": (0.1, 0.2)}, r"coeffs must be five numbers \(k1, k2, p1, p2, k3\) in .-1e.06, got \(0.1, 0.2\)"),
+        ({"coeffs": (0.1, 0, 0, 0, 0)}, "a pinhole has no distortion, but coeffs are .*add model='brown_conrady'"),
         ({"model": "brown_conradi"}, "unknown value 'brown_conradi'; did you mean 'brown_conrady'"),
     ],
 )

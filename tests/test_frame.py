@@ -1,10 +1,11 @@
-"""Images of any layout: converted once when a frame is made, and nothing is compiled for them in a live frame."""
+"""Images of any layout and kind: converted once when a frame is made; nothing is compiled for them in a live frame."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from numba.core import event
+from PIL import Image
 
 from shape_obs import Centerline, Contour, GrayRange, Intrinsics, ShapeDetector, Surface
 from shape_obs.frame import Frame
@@ -18,6 +19,15 @@ LAYOUTS = {
     "strided": lambda image: np.repeat(image, 2, axis=1)[:, ::2],
     "reversed": lambda image: image[::-1].copy()[::-1],
     "read-only": lambda image: np.frombuffer(image.tobytes(), image.dtype).reshape(image.shape),
+}
+
+
+#: Arrays of other kinds with the same numbers.
+KINDS = {
+    "masked, nothing hidden": np.ma.array,
+    "big-endian": lambda image: image.astype(image.dtype.newbyteorder(">")),
+    "PIL": lambda image: Image.fromarray(image),
+    "tensor": lambda image: type("Tensor", (), {"__array__": lambda self, dtype=None, copy=None: image})(),
 }
 
 
@@ -64,3 +74,43 @@ def test_no_layout_and_dtype_compiles_anything_or_changes_the_points(spec):
     assert listener.names == []
     for image, kept in zip((mask, depth, rgb), before, strict=True):  # nothing is written into what is given
         np.testing.assert_array_equal(image, kept)
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+def test_arrays_of_other_kinds_are_read(kind):
+    mask = random_rope(np.random.default_rng(3)).mask
+    depth, rgb = np.full(mask.shape, 750, np.uint16), np.repeat(mask[..., None], 3, axis=2)
+    detector = ShapeDetector(Centerline(spacing="m"), GrayRange(low=128))
+    expected = detector.detect(rgb, depth, CAMERA).shapes[0].points3d
+    detector.reset()
+    found = detector.detect(kind(rgb), kind(depth), CAMERA).shapes[0].points3d
+    np.testing.assert_array_equal(np.asarray(found), np.asarray(expected))
+    found = ShapeDetector(Centerline(spacing="m")).detect_mask(kind(mask), kind(depth), CAMERA).shapes[0].points3d
+    np.testing.assert_array_equal(np.asarray(found), np.asarray(expected))
+
+
+def test_what_a_mask_hides_is_no_depth_no_object_and_no_point():
+    mask = random_rope(np.random.default_rng(3)).mask
+    hidden = np.zeros(mask.shape, bool)
+    hidden[:, : mask.shape[1] // 2] = True
+    depth = np.ma.array(np.full(mask.shape, 750, np.uint16), mask=hidden)
+    shape = ShapeDetector().detect_mask(mask, depth, CAMERA).shapes[0]
+    assert 0 < shape.valid.sum() < shape.visible.sum()
+    found = ShapeDetector().detect_mask(np.ma.array(mask, mask=hidden)).shapes[0]
+    assert found.points2d[:, 0].min() > mask.shape[1] // 2 - 1
+    cloud = np.random.default_rng(0).uniform(size=(2000, 3)) * (0.5, 0.02, 0.02) + (0, 0, 0.7)
+    masked = np.ma.array(cloud, mask=np.repeat(cloud[:, :1] < 0.25, 3, axis=1))
+    assert np.nanmin(ShapeDetector().detect_cloud(masked).shapes[0].points3d[:, 0]) > 0.24
+
+
+def test_arrays_with_units_or_on_a_gpu_are_refused_by_name():
+    with_unit = type("Quantity", (), {"__array__": lambda self: np.zeros((4, 4)), "units": "millimetre"})()
+    with pytest.raises(TypeError, match="depth: the array carries the unit millimetre"):
+        Frame(depth=with_unit)
+
+    class Cuda:
+        def __array__(self, dtype=None, copy=None):
+            raise TypeError("can't convert cuda:0 device type tensor to numpy. Use Tensor.cpu()")
+
+    with pytest.raises(TypeError, match=r"rgb: this Cuda cannot be read as a NumPy array: .*Tensor.cpu\(\)"):
+        Frame(rgb=Cuda())

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
+from shape_obs.camera import CameraLike, CameraModel
 from shape_obs.drawing.pictures import GOAL, NUMBERED, PAPER, Image, point_colours, slot_colours
 from shape_obs.frame import FARTHEST, MILLIMETRE, Frame
 from shape_obs.image.mask_check import check_given_mask
@@ -83,7 +83,7 @@ class RerunLog:
         detection: Detection | None,
         rgb: Image | None = None,
         depth: npt.NDArray[Any] | None = None,
-        camera: CameraModel | Intrinsics | None = None,
+        camera: CameraLike = None,
         *,
         mask: npt.NDArray[Any] | None = None,
         features: Features | None = None,
@@ -110,7 +110,7 @@ class RerunLog:
             TypeError: An image has another dtype.
             ValueError: An image has another shape or size.
         """
-        frame = Frame(rgb, depth, as_camera_model(camera))
+        frame = Frame(rgb, depth, camera)
         region = None if mask is None else check_given_mask(mask, frame)
         self._set_time(number, stamp if detection is None else detection.stamp)
         self._arrange(frame, detection, features)
@@ -292,7 +292,7 @@ def log_rerun(
     detection: Detection | None,
     rgb: Image | None = None,
     depth: npt.NDArray[Any] | None = None,
-    camera: CameraModel | Intrinsics | None = None,
+    camera: CameraLike = None,
     *,
     mask: npt.NDArray[Any] | None = None,
     features: Features | None = None,
@@ -313,7 +313,7 @@ def log_rerun(
         detection: What was found; None logs only the images.
         rgb: ``(H, W, 3)`` uint8, RGB; logged as JPEG.
         depth: ``(H, W)`` uint16 millimetres or floating metres, aligned to ``rgb``.
-        camera: Intrinsics, or a camera model. With a pose, everything in 3D is shown in the base frame, else in the
+        camera: As for ``ShapeDetector.detect``. With a pose, everything in 3D is shown in the base frame, else in the
             camera's optical frame.
         mask: ``(H, W)`` bool or uint8, 0 = background.
         features: Values by name, plotted over time: ``{"rope/length": 0.41}``, an array of values, or values by the

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.frame import Frame
+from shape_obs.utils.array_like import plain_array
 
 _FLAG, _BYTE = np.dtype(np.bool_), np.dtype(np.uint8)
 _FULL: Final = 255
@@ -18,7 +19,7 @@ def checked_mask(mask: Any, size: tuple[int, int] | None, whose: str) -> npt.NDA
     """Return a mask as uint8 if it is one; without a copy if it is bool or uint8.
 
     Args:
-        mask: ``(H, W)`` bool, or whole numbers that are all 0 and 1, or all 0 and 255.
+        mask: ``(H, W)`` bool, or whole numbers that are all 0 and 1, or all 0 and 255; a masked value is background.
         size: ``(H, W)`` that it must have; None for any.
         whose: Where the mask comes from, the start of error messages.
 
@@ -29,6 +30,7 @@ def checked_mask(mask: Any, size: tuple[int, int] | None, whose: str) -> npt.NDA
         TypeError: It is no array, or an array of other than bool or whole numbers.
         ValueError: It has another shape or other values.
     """
+    mask = plain_array(mask, whose, masked=0)
     if not isinstance(mask, np.ndarray) or mask.dtype.kind not in "bui":
         raise TypeError(f"{whose}: expected a numpy array of bool or uint8, got {_described(mask)}")
     if mask.ndim != 2 or mask.size == 0 or (size is not None and mask.shape != size):

@@ -16,6 +16,7 @@ from shape_obs.image.rope_tip import LAST, LAST_REST, MAX_STEPS, REACH, SHORTEST
 from shape_obs.point_cloud.geodesics import chain, ring
 from shape_obs.point_cloud.unrolling import Chart, border, chart
 from shape_obs.point_cloud.voxels import ConnectedVoxels, Piece, Ribbon, connect, measure
+from shape_obs.utils.array_like import plain_array
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
@@ -260,12 +261,13 @@ class Cloud:
 
 
 def read_cloud(points: Any) -> Cloud:
-    """Return the cloud of an array: ``(M, 3)``, or organised as ``(H, W, 3)``, floating metres.
+    """Return the cloud of an array: ``(M, 3)``, or organised as ``(H, W, 3)``, floating metres; masked are no points.
 
     Raises:
         TypeError: No floating array.
         ValueError: Another shape.
     """
+    points = plain_array(points, "points", masked=np.nan)
     if not isinstance(points, np.ndarray) or not np.issubdtype(points.dtype, np.floating):
         came = f"an array of {points.dtype}" if isinstance(points, np.ndarray) else type(points).__name__
         raise TypeError(

@@ -1,6 +1,7 @@
 """Attributes that an env may publish for ``ShapeObservation``. All of them are optional.
 
-``camera_model``: a ``CameraModel`` (or bare ``Intrinsics``); read again at each reset, since poses may be randomised.
+``camera_model``: a ``CameraModel``, or what ``as_camera_model`` makes one of; read again at each reset, since poses may
+be randomised.
 ``anchors``: a mapping of names to base-frame points (x, y, z) or pixels (u, v); read in each frame that needs one.
 ``goal_layout``: the layout of the points of a goal, ``{"kind": "centerline"}``, ``{"kind": "contour"}`` or
 ``{"kind": "surface", "rows": 5, "cols": 7}``; default: the layout of the first shape. With ``"count": K`` a goal has
@@ -68,9 +69,9 @@ class PublishedAnchors(Mapping[str, Sequence[float]]):
         return len(self._read)
 
 
-def camera_model(env: gym.Env[Any, Any]) -> CameraModel | None:
-    """Return the camera that the env publishes."""
-    return as_camera_model(published(env, "camera_model"))
+def camera_model(env: gym.Env[Any, Any], size: tuple[int, int] | None = None) -> CameraModel | None:
+    """Return the camera that the env publishes, whose images have a size ``(H, W)``."""
+    return as_camera_model(published(env, "camera_model"), size)
 
 
 def anchors(env: gym.Env[Any, Any]) -> Mapping[str, Sequence[float]]:

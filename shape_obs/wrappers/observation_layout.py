@@ -49,7 +49,7 @@ class ObservationLayout:
     """
 
     def __init__(self, source: spaces.Space[Any], keep: Sequence[str], vector: Bounded, goal: Bounded | None) -> None:
-        kept = _kept_spaces(source, keep, privileged=GOALS if goal is not None else ())
+        self._kept = kept = _kept_spaces(source, keep, privileged=GOALS if goal is not None else ())
         self._joined = [key for key, space in kept.items() if goal is not None and _is_vector(space)]
         self._separate = [key for key in kept if key not in self._joined]
         low, high = [np.asarray(vector.low, np.float32)], [np.asarray(vector.high, np.float32)]
@@ -75,12 +75,33 @@ class ObservationLayout:
             self.space = box
 
     def compose(self, values: Vector, source: Any, goals: Sequence[Vector] = ()) -> Any:
-        """Return the observation of features, kept values of ``source``, and (achieved, desired) goals."""
+        """Return the observation of features, kept values of ``source``, and (achieved, desired) goals.
+
+        Raises:
+            KeyError: ``source`` lacks a kept key.
+            ValueError: A kept array has another shape than its space, or is NaN.
+        """
         if self._name is None:
             return values
-        joined = np.concatenate([values, *(np.asarray(source[key], np.float32) for key in self._joined)])
-        separate = {key: deepcopy(source[key]) for key in self._separate}
+        kept = {key: _checked(source, key, space) for key, space in self._kept.items()}
+        joined = np.concatenate([values, *(np.asarray(kept[key], np.float32) for key in self._joined)])
+        separate = {key: deepcopy(kept[key]) for key in self._separate}
         return {self._name: joined, **dict(zip(GOALS, goals, strict=False)), **separate}
+
+
+def _checked(source: Any, key: str, space: spaces.Space[Any]) -> Any:
+    """Return what an env's observation has under a key."""
+    if key not in source:
+        raise KeyError(f"the observation has no {key!r}, but its space does; keys: {sorted(source)}.")
+    value = source[key]
+    if isinstance(space, spaces.Box):
+        floats = space.dtype is not None and space.dtype.kind == "f"
+        if np.shape(value) != space.shape or (floats and np.isnan(value).any()):
+            raise ValueError(
+                f"keep: the env's observation_space promises {key!r} as finite numbers of shape {space.shape}, the env "
+                f"gave shape {np.shape(value)}{', NaN among them' if np.shape(value) == space.shape else ''}."
+            )
+    return value
 
 
 def _is_vector(space: spaces.Space[Any]) -> bool:

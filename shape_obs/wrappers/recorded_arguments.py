@@ -6,9 +6,7 @@ import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
-import numpy as np
-
-from shape_obs.camera import CameraModel, Intrinsics, as_camera_model
+from shape_obs.camera import CameraModel
 from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.configurations.base import Configuration
 from shape_obs.image.mask_function import MaskFunction
@@ -39,16 +37,6 @@ def _with_paths(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_with_paths(item) for item in value]
     return MaskFunction(value).to_dict()["function"] if callable(value) and not isinstance(value, type) else value
-
-
-def read_camera(value: CameraModel | Intrinsics | Mapping[str, Any] | None) -> CameraModel | None:
-    """Return the camera that ``to_recorded`` described: the mapping of a camera model, or of bare intrinsics."""
-    if not isinstance(value, Mapping):
-        return as_camera_model(value)
-    if "intrinsics" not in value:
-        return CameraModel(Intrinsics.from_dict(value))
-    transform = value.get("transform_camera_to_base")
-    return CameraModel(Intrinsics.from_dict(value["intrinsics"]), None if transform is None else np.asarray(transform))
 
 
 def check_names(arguments: Iterable[str]) -> None:

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import numpy.typing as npt
-from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 
-from shape_obs.camera import CameraModel, Intrinsics
+from shape_obs.camera import CameraLike, CameraModel, as_camera_model
 from shape_obs.detector import ShapeDetector
 from shape_obs.features import Block, Feature, FeatureContext, FeatureVector, read_features
 from shape_obs.features.feature import what_needs_depth
 from shape_obs.shape import Detection, Shape
-from shape_obs.spec import did_you_mean
 from shape_obs.wrappers import env_protocol
+from shape_obs.wrappers.env_images import Images, Key
 from shape_obs.wrappers.goals import EnvGoal
 from shape_obs.wrappers.observation_layout import ObservationLayout
-from shape_obs.wrappers.recorded_arguments import OWN, check_names, check_shapes, read_camera, to_recorded
+from shape_obs.wrappers.recorded_arguments import OWN, check_names, check_shapes, to_recorded
 
 Corners = tuple[tuple[float, float, float], tuple[float, float, float]]
 
@@ -39,16 +37,18 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
     ``check_env`` requires equal infos for equal seeds.
 
     Args:
-        env: An env whose observation is an RGB image, or a Dict with an RGB image (and depth). What it may publish is
-            listed in ``shape_obs.wrappers.env_protocol``; arguments given here take precedence.
+        env: An env whose observation is an RGB image, or a Dict with an RGB image (and depth); ``Images`` lists the
+            layouts that are read. What it may publish is listed in ``shape_obs.wrappers.env_protocol``; arguments given
+            here take precedence.
         shapes: Configurations; default one centerline.
         segmentation: The segmentation rule, or a function ``(rgb, depth) -> mask`` at the top of a module, or its
             import path ``"module:function"``: ``env.spec`` records the path.
         features: Features of each shape; default ``points3d`` with depth and camera, else ``points2d_normalized``.
-        camera: Intrinsics or camera model, for envs that publish none.
+        camera: Intrinsics or camera model, for envs that publish none; or what ``as_camera_model`` makes one of.
         keep: Keys of the env's observation to pass on.
-        rgb_key: Key of the image, default ``"rgb"``.
-        depth_key: Key of the depth image, uint16 millimetres or float metres; default ``"depth"`` if it exists.
+        rgb_key: Key of the image, default ``"rgb"``; of an image in a Dict within the Dict the keys on the way to it,
+            ``("images", "rgb")`` or ``"images/rgb"``.
+        depth_key: Key of the depth image, uint16 millimetres or float metres; default ``"depth"`` if it is an image.
         workspace: (low, high) corners in metres, base frame: the bounds of points in the base frame.
         options: The other fields of ``DetectorConfig``; ``on_invalid`` defaults to ``"interpolate"`` here.
 
@@ -79,20 +79,24 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         segmentation: Any = None,
         features: Iterable[Feature | Mapping[str, Any] | str] | None = None,
         *,
-        camera: CameraModel | Intrinsics | Mapping[str, Any] | None = None,
+        camera: CameraLike = None,
         keep: Sequence[str] | None = None,
-        rgb_key: str | None = None,
-        depth_key: str | None = None,
+        rgb_key: Key | None = None,
+        depth_key: Key | None = None,
         workspace: Corners | None = None,
         **options: Any,
     ) -> None:
+        gym.ObservationWrapper.__init__(self, env)
+        published, keys = env_protocol.defaults(env), {"rgb_key": rgb_key, "depth_key": depth_key}
+        keys = {name: published.get(name) if key is None else key for name, key in keys.items()}
+        self._images = Images.find(env.observation_space, **keys)
+        camera = as_camera_model(camera, self._images.size)
         given = {"shapes": shapes, "segmentation": segmentation, "features": features, "camera": camera, "keep": keep}
         given |= {"rgb_key": rgb_key, "depth_key": depth_key, "workspace": workspace, **options}
         given = {name: to_recorded(value) for name, value in given.items() if value is not None}
         RecordConstructorArgs.__init__(self, **given)
-        gym.ObservationWrapper.__init__(self, env)
 
-        chosen = {"on_invalid": "interpolate", **env_protocol.defaults(env), **given}
+        chosen = {"on_invalid": "interpolate", **published, **given}
         check_names(chosen)
         for policy in ("on_missing", "on_invalid"):
             if chosen.get(policy) == "nan":
@@ -101,15 +105,14 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
                 )
         own = {name: chosen.pop(name, None) for name in OWN}
         self.detector = ShapeDetector(**chosen)
-        self._images = Images.find(env.observation_space, own["rgb_key"], own["depth_key"])
         check_shapes(self.detector.config.filled())
-        self._given_camera = read_camera(own["camera"])
-        camera = self._given_camera or env_protocol.camera_model(env)
+        self._given_camera = as_camera_model(own["camera"], self._images.size)
+        camera = self._camera_of(env)
         height, width = self._images.size
         context = FeatureContext(width, height, camera, own["workspace"], self.detector.config.max_age)
-        in_3d = self._images.depth_key is not None and camera is not None
+        in_3d = self._images.has_depth and camera is not None
         self.features = tuple(read_features(own["features"] or ("points3d" if in_3d else "points2d_normalized")))
-        needs = what_needs_depth(self.detector.shapes, self.features) if self._images.depth_key is None else []
+        needs = what_needs_depth(self.detector.shapes, self.features) if not self._images.has_depth else []
         if needs:
             raise ValueError(
                 f"the observation has no 'depth', but the config needs it: {', '.join(needs)}. Choose features in "
@@ -130,7 +133,7 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         """Reset the env and the track."""
         observation, info = self.env.reset(seed=seed, options=options)
         # A randomised camera may have another pose in each episode.
-        self._begin(replace(self._context, camera=self._given_camera or env_protocol.camera_model(self.env)))
+        self._begin(replace(self._context, camera=self._camera_of(self.env)))
         self.detector.reset()
         self._time = 0.0
         return self._observe(observation, info), info
@@ -177,6 +180,9 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         """How many shapes, from the first on, have goals of the env."""
         return 0 if self._goal is None else len(self._goal.shapes)
 
+    def _camera_of(self, env: gym.Env[Any, Any]) -> CameraModel | None:
+        return self._given_camera or env_protocol.camera_model(env, self._images.size)
+
     def _begin(self, context: FeatureContext) -> None:
         """Start an episode with a camera, and find the wrapper or env that publishes the anchors."""
         self._context = context
@@ -201,58 +207,6 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         desired = self._goal.vector.desired(self.targets, contexts[: len(self.targets)])
         goals = self._goal.achieved(values), desired
         return self._layout.compose(values, observation, goals)
-
-
-@dataclass(frozen=True)
-class Images:
-    """The images in an env's observation.
-
-    Args:
-        rgb_key: Key of the uint8 image of shape ``(H, W, 3)``; None if the observation is the image.
-        depth_key: Key of the depth image of shape ``(H, W)``; None without depth.
-        size: ``(H, W)`` of the images.
-    """
-
-    rgb_key: str | None
-    depth_key: str | None
-    size: tuple[int, int]
-
-    @classmethod
-    def find(cls, space: spaces.Space[Any], rgb_key: str | None = None, depth_key: str | None = None) -> Images:
-        """Find the images in an observation space; the default keys are ``"rgb"`` and, if it exists, ``"depth"``.
-
-        Raises:
-            ValueError: There is no image under a key; the message lists the keys.
-        """
-        if isinstance(space, spaces.Dict):
-            rgb_key = rgb_key or "rgb"
-            for name, key in (("rgb_key", rgb_key), ("depth_key", depth_key)):
-                if key is not None and key not in space.spaces:
-                    raise ValueError(
-                        f"{name} {key!r} is not in the observation{did_you_mean(key, space.spaces)} "
-                        "Pass rgb_key= and depth_key=."
-                    )
-            depth = depth_key or ("depth" if "depth" in space.spaces else None)
-            return cls(rgb_key, depth, _image_size(space[rgb_key], f"observation[{rgb_key!r}]"))
-        return cls(None, None, _image_size(space, "the observation"))
-
-    def read(self, observation: Any) -> tuple[npt.NDArray[np.uint8], npt.NDArray[Any] | None]:
-        """Return the colour image and the depth image of an observation."""
-        if self.rgb_key is None:
-            return observation, None
-        for key in (self.rgb_key, self.depth_key):
-            if key is not None and key not in observation:
-                raise KeyError(f"the observation has no {key!r}, but its space does; keys: {sorted(observation)}.")
-        return observation[self.rgb_key], observation[self.depth_key] if self.depth_key else None
-
-
-def _image_size(space: spaces.Space[Any], where: str) -> tuple[int, int]:
-    if not isinstance(space, spaces.Box) or space.dtype != np.uint8 or len(space.shape) != 3 or space.shape[2] != 3:
-        raise ValueError(
-            f"{where} must be an RGB image, Box(0, 255, (H, W, 3), uint8), got {space}. For state observations add "
-            "images first, e.g. with gymnasium.wrappers.AddRenderObservation."
-        )
-    return space.shape[0], space.shape[1]
 
 
 def _add_info(info: dict[str, Any], shapes: Sequence[Shape]) -> None:

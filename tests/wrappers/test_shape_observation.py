@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import pickle
 import warnings
 from typing import Any
@@ -128,8 +129,11 @@ class TestCamera:
         assert len(heights) == 4
 
     def test_bare_intrinsics_do_for_the_camera_frame(self):
-        env = wrapped(camera=INTRINSICS.to_dict(), anchor=[200, 60])
-        np.testing.assert_allclose(env.reset(seed=0)[0].reshape(-1, 3)[:, 2], 0.5, atol=1e-3)
+        opencv = wrapped(camera=(INTRINSICS.matrix, None), anchor=[200, 60])
+        recorded = json.loads(json.dumps(opencv._saved_kwargs))  # type: ignore[attr-defined]
+        plain = wrapped(camera=INTRINSICS.to_dict(), anchor=[200, 60])
+        for env in (plain, opencv, ShapeObservation(RopeEnv(), **recorded)):
+            np.testing.assert_allclose(env.reset(seed=0)[0].reshape(-1, 3)[:, 2], 0.5, atol=1e-3)
         with pytest.raises(ValueError, match="in frame 'base' needs transform_camera_to_base"):
             wrapped(camera=INTRINSICS, features=[Points3D(frame="base")])
 

@@ -12,7 +12,7 @@ from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 from numpy.typing import NDArray
 
-from shape_obs.wrappers.shape_observation import Images
+from shape_obs.wrappers.env_images import Images, Key
 from shape_obs_envs.d455.model import D455Model
 from shape_obs_envs.d455.random_fields import BankFields, DrawnFields
 from shape_obs_envs.d455.sensors import Colour, Light, Measurement, Stereo
@@ -123,7 +123,7 @@ class D455Noise(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
         model: A ``D455Model``, or a mapping of the fields that differ from its defaults.
         fast: Crop the noise from a bank that is drawn once instead of drawing each pixel of each frame: the same
             statistics at a fraction of the time.
-        rgb_key: Key of the image, default "rgb".
+        rgb_key: Key of the image, as ``ShapeObservation`` takes it; default "rgb".
         depth_key: Key of the depth image; default "depth" if present.
 
     Attributes:
@@ -147,8 +147,8 @@ class D455Noise(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
         model: D455Model | Mapping[str, Any] | None = None,
         *,
         fast: bool = True,
-        rgb_key: str | None = None,
-        depth_key: str | None = None,
+        rgb_key: Key | None = None,
+        depth_key: Key | None = None,
     ) -> None:
         self.model = D455Model.from_dict({} if model is None else model)
         if not isinstance(fast, (bool, np.bool_)):
@@ -158,7 +158,7 @@ class D455Noise(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
         RecordConstructorArgs.__init__(self, fast=bool(fast), **given)
         gym.ObservationWrapper.__init__(self, env)
         self._images = Images.find(env.observation_space, rgb_key, depth_key)
-        rgb, depth = _boxes(env.observation_space, self._images)
+        rgb, depth = _boxes(self._images)
         self._rgb_space = _clipping_space(rgb, 255)
         farthest = math.inf if self.model.max_z is None else self.model.max_z
         most = 65535 if depth is None or depth.dtype == np.uint16 else farthest
@@ -193,55 +193,40 @@ class D455Noise(gym.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
             self._camera = D455Camera(self.model, self._images.size, self.fast)
         rgb, depth = self._images.read(observation)
         captured = _clip(self._rgb_space, self._camera.colour(rgb, self.light, self._rng))
-        if self._images.rgb_key is None:
-            return captured
-        seen = {**observation, self._images.rgb_key: captured}
-        if depth is not None and self._images.depth_key is not None:
-            self.measurement = self._camera.measure(_in_metres(depth, self._images.size), rgb, self._rng)
-            measured = _in_format_of(np.asarray(depth), self.measurement.metres)
-            seen[self._images.depth_key] = _clip(self._depth_space, measured)
-        return seen
+        if depth is None or self._images.depth is None:
+            return self._images.replaced(observation, captured, None)
+        self.measurement = self._camera.measure(_in_metres(depth), rgb, self._rng)
+        measured = _in_format_of(depth, self.measurement.metres).reshape(self._images.depth.space.shape)
+        return self._images.replaced(observation, captured, _clip(self._depth_space, measured))
 
 
-def _boxes(space: spaces.Space[Any], images: Images) -> tuple[spaces.Box, spaces.Box | None]:
-    """Return the spaces of the colour image, already checked by ``Images.find``, and of the depth image.
+def _boxes(images: Images) -> tuple[spaces.Box, spaces.Box | None]:
+    """Return the spaces of the colour image and of the depth image.
 
     Raises:
-        ValueError: The space of the depth image is not that of a depth camera.
+        ValueError: An image does not lie as a camera's, or has no room for holes.
     """
-    rgb = space[images.rgb_key] if images.rgb_key is not None and isinstance(space, spaces.Dict) else space
-    assert isinstance(rgb, spaces.Box)
-    if images.depth_key is None or not isinstance(space, spaces.Dict):
-        return rgb, None
-    depth, where = space[images.depth_key], f"observation[{images.depth_key!r}]"
-    if (
-        not isinstance(depth, spaces.Box)
-        or depth.shape not in (images.size, (*images.size, 1))
-        or not (depth.dtype == np.uint16 or np.issubdtype(depth.dtype, np.floating))
-    ):
+    rgb, depth = images.rgb.space, images.depth
+    if images.rgb.steps or images.rgb.factor:
+        raise ValueError(f"D455Noise: the RGB image must be Box(0, 255, (H, W, 3), uint8), got {rgb}.")
+    if depth is not None and (depth.space.low > 0).any():
         raise ValueError(
-            f"{where} must be a depth image as large as the RGB image, Box(..., {images.size}, uint16) in millimetres "
-            f"or of floats in metres, got {depth}. Pass depth_key= if it has another key."
-        )
-    if (depth.low > 0).any():
-        raise ValueError(
-            f"{where}: a hole is 0, which the space must contain, got low {depth.low.max()}. "
+            f"the depth image: a hole is 0, which the space must contain, got low {depth.space.low.max()}. "
             "Put a wrapper below D455Noise that makes it Box(0, ...)."
         )
-    return rgb, depth
+    return rgb, None if depth is None else depth.space
 
 
-def _in_metres(depth: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
-    depth = np.asarray(depth).reshape(size)
+def _in_metres(depth: NDArray[Any]) -> NDArray[Any]:
     return depth if depth.dtype != np.uint16 else np.multiply(depth, np.float32(1 / _MILLIMETRES), dtype=np.float32)
 
 
 def _in_format_of(depth: NDArray[Any], metres: NDArray[np.float32]) -> NDArray[Any]:
-    """Return measured depth in the type and shape of the environment's depth."""
+    """Return measured depth in the type of the environment's depth."""
     if depth.dtype == np.uint16:
         millimetres = metres * np.float32(_MILLIMETRES)
         metres = np.minimum(np.rint(millimetres, out=millimetres), 65535, out=millimetres)
-    return metres.astype(depth.dtype).reshape(depth.shape)
+    return metres.astype(depth.dtype)
 
 
 def _clip(space: spaces.Box | None, image: NDArray[Any]) -> NDArray[Any]:

@@ -19,7 +19,7 @@ from shape_obs.recording import RobotInfo, Transition
 from shape_obs.recording.format import plain
 from shape_obs.source import SourceError
 from shape_obs.wrappers import env_protocol
-from shape_obs.wrappers.shape_observation import Images
+from shape_obs.wrappers.env_images import Images, Key
 from shape_obs_envs.sources.sequence import SequenceSource
 
 Actions = Literal["zero", "random"] | Callable[[Any], Any]
@@ -38,7 +38,7 @@ class EnvSource(SequenceSource):
         extrinsics: See ``Source``; overrides the environment's own.
         actions: ``"zero"`` for the action nearest to zero, ``"random"``, or a policy: observation -> action.
         seed: Seed of the first reset and of random actions.
-        rgb_key: Key of the image in the observation, default ``"rgb"``.
+        rgb_key: Key of the image in the observation, as ``ShapeObservation`` takes it; default ``"rgb"``.
         depth_key: Key of the depth image, in uint16 millimetres or floating-point metres; default ``"depth"`` if any.
         **options: Arguments of ``gymnasium.make``, for an id.
 
@@ -66,8 +66,8 @@ class EnvSource(SequenceSource):
         *,
         actions: Actions = "zero",
         seed: int | None = None,
-        rgb_key: str | None = None,
-        depth_key: str | None = None,
+        rgb_key: Key | None = None,
+        depth_key: Key | None = None,
         **options: Any,
     ) -> None:
         super().__init__(env if isinstance(env, str) else str(env.spec.id if env.spec else env), extrinsics)
@@ -86,7 +86,7 @@ class EnvSource(SequenceSource):
     def has_depth(self) -> bool:
         """Whether observations include depth."""
         self._check_connected()
-        return self._images.depth_key is not None
+        return self._images.has_depth
 
     @property
     def anchors(self) -> Mapping[str, Sequence[float]]:
@@ -145,7 +145,10 @@ class EnvSource(SequenceSource):
                 last + 1, self._steps.action(action), float(reward), bool(terminated), bool(truncated)
             )
         self.state = self._steps.state(self._observation)
-        rgb, depth = self._images.read(self._observation)
+        try:
+            rgb, depth = self._images.read(self._observation)
+        except (KeyError, TypeError, ValueError) as error:
+            raise SourceError(f"{self.name}: {error.args[0]}") from error
         frame = Frame(
             np.array(rgb),  # environments may reuse their buffers
             None if depth is None else np.array(depth),
@@ -158,7 +161,7 @@ class EnvSource(SequenceSource):
         return frame
 
     def _known_camera(self) -> CameraModel | None:
-        return env_protocol.camera_model(self._connected_env())
+        return env_protocol.camera_model(self._connected_env(), self._images.size)
 
     def _action(self, env: gym.Env[Any, Any]) -> Any:
         if callable(self._actions):

@@ -226,9 +226,9 @@ class Bundle:
 
     def _check_place(self, env: gym.Env[Any, Any]) -> None:
         """Refuse features in the base frame if the camera has no extrinsics."""
-        camera = env_protocol.camera_model(env)
         for feature in self.features:
             in_base = getattr(getattr(feature, "coordinates", None), "frame", None) == "base"
+            camera = env_protocol.camera_model(env) if in_base else None
             if in_base and (camera is None or camera.transform_camera_to_base is None):
                 raise BundleError(
                     f"the policy reads {feature.kind!r} in the base frame, but this camera has no extrinsics: give "

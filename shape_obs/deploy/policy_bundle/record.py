@@ -64,7 +64,7 @@ class Surroundings(Spec):
     @classmethod
     def of(cls, env: gym.Env[Any, Any]) -> Surroundings:
         """Collect the properties of an environment."""
-        config, schema, image, camera = None, None, None, camera_model(env)
+        config, schema, image = None, None, None
         shapes = shape_observation(env)
         if shapes is not None:
             view = shapes.contexts[0]
@@ -75,7 +75,7 @@ class Surroundings(Spec):
             if view.workspace is not None:
                 config["workspace"] = to_recorded(view.workspace)
             schema, image = schema_hash(config), (view.width, view.height)
-            camera = view.camera or camera
+        camera = camera_model(env) if shapes is None else shapes.contexts[0].camera
         robot = getattr(env.unwrapped, "robot", None)
         return cls(
             dt=seconds_per_step(env),

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import Distortion, Intrinsics
+from shape_obs.camera import Intrinsics, as_intrinsics
 from shape_obs.source import SourceError
 from shape_obs.utils.errors import install_hint
 
@@ -157,9 +157,12 @@ class Geometry:
             profile.get_stream(stream).as_video_stream_profile() for stream in (rs.stream.color, rs.stream.depth)
         )
         pose = depth.get_extrinsics_to(colour)
+        try:
+            lenses = as_intrinsics(colour), as_intrinsics(depth)
+        except ValueError as error:
+            raise SourceError(str(error)) from error
         return cls(
-            colour=_intrinsics(colour.get_intrinsics()),
-            depth=_intrinsics(depth.get_intrinsics()),
+            *lenses,
             # librealsense stores matrices column by column
             rotation=np.round(np.reshape(pose.rotation, (3, 3)), _ROTATION_DIGITS).T,
             translation=np.round(pose.translation, _TRANSLATION_DIGITS),
@@ -194,32 +197,6 @@ def _in_mode(sensor: Intrinsics, width: int, height: int) -> Intrinsics:
         sensor.model,
         sensor.coeffs,
     )
-
-
-def _intrinsics(lens: Any) -> Intrinsics:
-    """Convert ``rs.intrinsics`` to ``Intrinsics``."""
-    coefficients = tuple(float(value) for value in lens.coeffs)
-    return Intrinsics(
-        int(lens.width),
-        int(lens.height),
-        float(lens.fx),
-        float(lens.fy),
-        float(lens.ppx),
-        float(lens.ppy),
-        model=_lens_model(lens.model, any(coefficients)),
-        coeffs=coefficients,
-    )
-
-
-def _lens_model(model: Any, distorted: bool) -> Distortion:
-    distortion = librealsense().distortion
-    if not distorted or model == distortion.none:
-        return "pinhole"
-    if model == distortion.brown_conrady:
-        return "brown_conrady"
-    if model in (distortion.inverse_brown_conrady, distortion.modified_brown_conrady):
-        return "inverse_brown_conrady"  # librealsense projects both in the same way
-    raise SourceError(f"The camera's lens model is {model}; expected one of the Brown-Conrady models.")
 
 
 def _depth_unit(device: Any) -> float:

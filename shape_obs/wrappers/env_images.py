@@ -1,0 +1,242 @@
+"""The images in an env's observation: where they are, how they lie, and whether they keep what their space promises."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from shape_obs.image.layout import Step, apply, shape_after, steps_to_depth, steps_to_rgb
+from shape_obs.spec import did_you_mean
+from shape_obs.utils.array_like import plain_array
+
+#: A key of an observation, or the keys on the way to an image in a Dict within a Dict: ``"images/rgb"`` as well.
+Key = str | Sequence[str | int]
+Path = tuple[str | int, ...]
+
+_FULL: Final = 255
+_STATE: Final = "For state observations add images first, e.g. with gymnasium.wrappers.AddRenderObservation."
+_STACKED: Final = "These look like stacked frames: put ShapeObservation below the wrapper that stacks them."
+_RESCALE: Final = (
+    "Make its values uint8 0...255, or floats 0...1 with these bounds in the space, e.g. with "
+    "gymnasium.wrappers.TransformObservation."
+)
+
+
+@dataclass(frozen=True)
+class Image:
+    """An image in an observation.
+
+    Args:
+        path: The keys on the way to it; empty if the observation is the image.
+        space: Its space.
+        steps: What makes ``(H, W, 3)`` or ``(H, W)`` of it.
+        factor: Of floats, what makes 0...255 of them; 0 leaves the values as they are.
+    """
+
+    path: Path
+    space: spaces.Box
+    steps: Sequence[Step]
+    factor: float = 0.0
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """``(H, W)`` in pixels."""
+        height, width, *_ = shape_after(self.space.shape, self.steps)
+        return height, width
+
+    def read(self, observation: Any, masked: float | None = None) -> npt.NDArray[Any]:
+        """Return the image in an observation: ``(H, W, 3)`` uint8, or ``(H, W)`` as it is stored.
+
+        Args:
+            observation: The env's.
+            masked: The value of what a masked array hides; None refuses it.
+
+        Raises:
+            KeyError: The observation lacks a key.
+            ValueError: The image has another shape, type or range than its space.
+        """
+        given = observation
+        for key in self.path:
+            if isinstance(given, Mapping) and key not in given:
+                raise KeyError(f"the observation has no {key!r}, but its space does; keys: {sorted(given)}.")
+            given = given[key]
+        image, (shape, dtype) = plain_array(given, _where(self.path), masked), (self.space.shape, self.space.dtype)
+        assert dtype is not None
+        floats = dtype.kind == "f" and isinstance(image, np.ndarray) and image.dtype.kind == "f"
+        if not isinstance(image, np.ndarray) or image.shape != shape or (image.dtype != dtype and not floats):
+            came = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
+            raise ValueError(
+                f"{_where(self.path)}: the env's observation_space promises {shape} {dtype}, but the image is {came}: "
+                "correct the one or the other."
+            )
+        if self.factor:
+            image = self._as_bytes(image)
+        return apply(image, self.steps)
+
+    def _as_bytes(self, image: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+        low, high = float(image.min()), float(image.max())
+        fractions = self.factor == 1 and 0 < high <= 1 and image.dtype.kind == "f" and bool(np.any(image % 1))
+        if not 0 <= low <= high <= _FULL / self.factor or fractions:
+            raise ValueError(
+                f"{_where(self.path)}: the env's observation_space promises values from 0 to {_FULL / self.factor:g}, "
+                f"but those of the image lie from {low:g} to {high:g}: correct the one or the other."
+            )
+        return np.rint(self.factor * image).astype(np.uint8)
+
+
+@dataclass(frozen=True)
+class Images:
+    """The images in an env's observation.
+
+    Colours may be uint8, floats in 0...1 or numbers in 0...255, as ``(H, W, 3)``, ``(3, H, W)``, with an opacity as
+    fourth channel, or grey; depth uint16 in millimetres or floats in metres, as ``(H, W)``, ``(H, W, 1)`` or
+    ``(1, H, W)``. All may have a leading 1, a batch of one.
+
+    Args:
+        rgb: The colour image.
+        depth: The depth image, as large as the colour image; None without.
+    """
+
+    rgb: Image
+    depth: Image | None
+
+    @classmethod
+    def find(cls, space: spaces.Space[Any], rgb_key: Key | None = None, depth_key: Key | None = None) -> Images:
+        """Find the images in an observation space; the defaults are ``"rgb"``, and ``"depth"`` next to it if any.
+
+        Raises:
+            ValueError: There is no image under a key; the message lists the keys.
+        """
+        if not isinstance(space, (spaces.Dict, spaces.Tuple)):
+            for name, key in (("rgb_key", rgb_key), ("depth_key", depth_key)):
+                if key is not None:
+                    raise ValueError(f"{name}={key!r}: the observation has no keys, it is {space}; leave {name} out.")
+            return cls(_rgb((), space), None)
+        path, at = _find(space, "rgb_key", "rgb" if rgb_key is None else rgb_key)
+        rgb = _rgb(path, at)
+        if depth_key is not None:
+            return cls(rgb, _depth(*_find(space, "depth_key", depth_key), rgb.size))
+        around = _at(space, path[:-1])
+        beside = around.spaces.get("depth") if isinstance(around, spaces.Dict) else None
+        image = isinstance(beside, spaces.Box) and len(beside.shape) > 1
+        return cls(rgb, _depth((*path[:-1], "depth"), beside, rgb.size) if image else None)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """``(H, W)`` of the images in pixels."""
+        return self.rgb.size
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether there is a depth image."""
+        return self.depth is not None
+
+    def read(self, observation: Any) -> tuple[npt.NDArray[np.uint8], npt.NDArray[Any] | None]:
+        """Return the colour image and the depth image of an observation.
+
+        Raises:
+            KeyError: The observation lacks a key.
+            ValueError: An image has another shape, type or range than its space.
+        """
+        return self.rgb.read(observation), None if self.depth is None else self.depth.read(observation, masked=0)
+
+    def replaced(self, observation: Any, rgb: npt.NDArray[Any], depth: npt.NDArray[Any] | None) -> Any:
+        """Return an observation with other images, which must lie as its own do; a depth of None leaves its own."""
+        seen = _put(observation, self.rgb.path, rgb)
+        return seen if depth is None or self.depth is None else _put(seen, self.depth.path, depth)
+
+
+def _put(value: Any, path: Path, image: npt.NDArray[Any]) -> Any:
+    if not path:
+        return image
+    if isinstance(value, tuple):
+        return tuple(_put(item, path[1:], image) if i == path[0] else item for i, item in enumerate(value))
+    return {**value, path[0]: _put(value[path[0]], path[1:], image)}
+
+
+def _find(space: spaces.Space[Any], name: str, key: Key) -> tuple[Path, spaces.Space[Any]]:
+    """Return the path that a key describes, and the space there."""
+    parts: Path = tuple(key) if not isinstance(key, str) else (key,) if key in _children(space) else (*key.split("/"),)
+    path: Path = ()
+    for part in parts:
+        known = _children(_at(space, path))
+        part = int(part) if part not in known and str(part).isdigit() else part  # of a Tuple
+        if part not in known:
+            hint = did_you_mean("/".join(map(str, parts)), _leaves(space))
+            raise ValueError(f"{name} {key!r} is not in the observation{hint} Pass rgb_key= and depth_key=.")
+        path = (*path, part)
+    return path, _at(space, path)
+
+
+def _at(space: spaces.Space[Any], path: Path) -> spaces.Space[Any]:
+    for key in path:
+        space = _children(space)[key]
+    return space
+
+
+def _children(space: spaces.Space[Any]) -> dict[str | int, spaces.Space[Any]]:
+    if isinstance(space, spaces.Dict):
+        return {**space.spaces}
+    return {**dict(enumerate(space.spaces))} if isinstance(space, spaces.Tuple) else {}
+
+
+def _leaves(space: spaces.Space[Any], before: str = "") -> Iterator[str]:
+    """Yield the paths to all that is neither a Dict nor a Tuple, with ``/`` between keys."""
+    for key, child in _children(space).items():
+        yield from _leaves(child, f"{before}{key}/") if _children(child) else [f"{before}{key}"]
+
+
+def _where(path: Path) -> str:
+    return "observation" + "".join(f"[{key!r}]" for key in path) if path else "the observation"
+
+
+def _rgb(path: Path, space: spaces.Space[Any]) -> Image:
+    """Return the colour image of a space.
+
+    Raises:
+        ValueError: It is none; the message says how to make it one.
+    """
+    shape = space.shape if isinstance(space, spaces.Box) else ()
+    steps, factor = steps_to_rgb(shape), _factor(space) if isinstance(space, spaces.Box) else None
+    if isinstance(space, spaces.Box) and steps is not None and factor is not None:
+        return Image(path, space, tuple(steps), factor)
+    if _children(space):
+        leaves = _leaves(space, "".join(f"{key}/" for key in path))
+        hint = f"Give the keys on the way to the image, one of {', '.join(leaves)}."
+    elif len(shape) < 2 or (len(shape) == 2 and factor is None):
+        hint = _STATE
+    else:
+        hint = _STACKED if steps is None else _RESCALE
+    raise ValueError(f"{_where(path)} must be an RGB image, Box(0, 255, (H, W, 3), uint8), got {space}. {hint}")
+
+
+def _factor(space: spaces.Box) -> float | None:
+    """Return what makes 0...255 of an image's values, 0 if they are uint8 already; None if their range is unknown."""
+    if space.dtype == np.uint8:
+        return 0.0
+    high = float(space.high.max(initial=-1))
+    if float(space.low.min(initial=0)) < 0 or not 0 < high <= _FULL:
+        return None
+    return float(_FULL) if high <= 1 and np.issubdtype(space.dtype, np.floating) else 1.0
+
+
+def _depth(path: Path, space: Any, size: tuple[int, int]) -> Image:
+    """Return the depth image of a space.
+
+    Raises:
+        ValueError: It is none, or not as large as the colour image.
+    """
+    steps = steps_to_depth(space.shape) if isinstance(space, spaces.Box) else None
+    if steps is not None and (space.dtype == np.uint16 or np.issubdtype(space.dtype, np.floating)):
+        image = Image(path, space, tuple(steps))
+        if image.size == size:
+            return image
+    raise ValueError(
+        f"{_where(path)} must be a depth image as large as the RGB image, Box(..., {size}, uint16) in millimetres "
+        f"or of floats in metres, got {space}. Pass depth_key= if it has another key."
+    )
