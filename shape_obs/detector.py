@@ -36,7 +36,7 @@ from shape_obs.image.segmentation import Segmentation
 from shape_obs.shape import Detection, Shape
 from shape_obs.slots import SLOT_FUNCTIONS, Slots
 from shape_obs.tracker import Moment, Tracker
-from shape_obs.tracking.missing import Clock
+from shape_obs.tracking.clock import Clock
 from shape_obs.tracking.prediction import TRACK_FUNCTIONS, Fit
 from shape_obs.tracking.search_window import RegionSearch
 from shape_obs.utils.threads import use_no_threads_in_forked_children
@@ -97,7 +97,7 @@ class ShapeDetector:
         compile_now(functions)
         if any(spec.lift == "cloud" for spec in self.shapes):
             import_module("shape_obs.point_cloud.deprojection")  # so that the first frame does not wait for it
-        self._units = UnitCheck()
+        self._units, self._clock = UnitCheck(), Clock(self.config.dt)
         self.reset()
 
     def reset(self) -> None:
@@ -106,7 +106,8 @@ class ShapeDetector:
             Tracker(spec, self.config) if spec.count is None else Slots(spec, self.config) for spec in self._filled
         ]
         self._units.reset()
-        self._hints, self._clock = MaskHints(), Clock(self.config.dt)
+        self._clock.reset()
+        self._hints = MaskHints()
         self._roi_memory: Any = None  # what a region of interest that moves remembers
         self._frames = 0
 

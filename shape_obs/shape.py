@@ -150,8 +150,8 @@ class Detection:
         stamp: Seconds.
         timings: Milliseconds by stage, and ``"total"``: ``"roi"`` where it moves, ``"segmentation"`` of an image,
             ``"region"`` of a mask given, ``"cloud"``, ``"fit"``, ``"lift"``.
-        warning: What is wrong with the frame though its shapes may be found: a stamp that stands still or runs back.
-            Empty if nothing is. The ``reason`` of a shape that was not found repeats it.
+        warning: What is wrong with the frame though its shapes may be found: a stamp that stands still, runs back or
+            jumps by more than a day. Empty if nothing is. The ``reason`` of a shape that was not found repeats it.
         more: By name, how many objects were found beyond the ``count`` of a configuration; empty if there were none.
         crossings: Where ropes lie over themselves and each other.
     """

@@ -18,7 +18,8 @@ from shape_obs.frame import Frame
 from shape_obs.geometry.crossings import Crossing
 from shape_obs.geometry.observed import Observed
 from shape_obs.shape import Shape
-from shape_obs.tracking.missing import Clock, lost_shape
+from shape_obs.tracking.clock import Clock
+from shape_obs.tracking.missing import lost_shape
 from shape_obs.tracking.prediction import Fit, Prediction, Reach, Track, advance, predict
 
 Array = npt.NDArray[np.float64]
@@ -167,6 +168,8 @@ class Tracker:
                 return shape
         age = clock.now - self._seen_at
         if last is not None and age > config.max_age and found.reason:  # else it is still tracked
+            if not self._gone:
+                clock.explain_loss(config.max_age)
             self._gone = True
             if not spec.resumes:
                 self.track = None

@@ -56,11 +56,13 @@ class Arguments:
     """'lerobot' also writes a LeRobot v3 dataset for imitation learning, with the Parquet files in its folder
     'extraction'."""
     task: Annotated[str | None, Option("TEXT", "LeRobot")] = None
-    """What is done in the episodes, in words; default: 'move the' and the names of the shapes."""
+    """What is done in the episodes, in words; default: that of an earlier run, or 'move the' and the names of the
+    shapes."""
     videos: Annotated[bool, Option(group="LeRobot")] = False
     """Encode the camera's images as H.264 (needs the extra 'video')."""
     fps: Annotated[float | None, Option("HZ", "LeRobot", above=0, most=1000)] = None
-    """Frames per second; default: the median rate of the stamps."""
+    """Frames per second; default: that of an earlier run, or the median rate of the stamps, a whole number if it is
+    within 1 % of one."""
     overwrite: Overwrite = False
     """Replace a LeRobot dataset that was changed since it was written; recordings and shapes are never replaced."""
     json: Annotated[bool, Option(group="output")] = False
@@ -145,7 +147,8 @@ def summary(result: dict[str, Any]) -> str:
     ]
     if "lerobot" in result:
         made = result["lerobot"]
-        lines.append(f"lerobot         {made['episodes']} episodes, {made['frames']} frames at {made['fps']:g} Hz")
+        lines.append(f"lerobot         {made['episodes']} episodes, {made['frames']} frames at {made['fps']:.6g} Hz")
+        lines.append(f"  task           {made['task']}")
         lines += [f"  {name:<32} {' x '.join(map(str, shape))}" for name, shape in made["features"].items()]
     return "\n".join(lines)
 
@@ -238,9 +241,8 @@ def convert(args: Any, job: Extraction, tasks: Sequence[Task]) -> dict[str, Any]
     """
     from shape_obs.extraction.lerobot import write_lerobot
 
-    names = " and the ".join(shape.name for shape in job.detector().shapes)
-    task = f"move the {names}" if args.task is None else args.task
-    summary = write_lerobot(job, tasks, args.out, task=task, fps=args.fps, videos=args.videos, overwrite=args.overwrite)
+    options = {"task": args.task, "fps": args.fps, "videos": args.videos, "overwrite": args.overwrite}
+    summary = write_lerobot(job, tasks, args.out, **options)
     return {"lerobot": asdict(summary)}
 
 

@@ -100,7 +100,7 @@ def check_name(text: str, option: str) -> None:
 
 @contextmanager
 def warnings_as_lines(prog: str) -> Iterator[None]:
-    """Print each warning of the library as one line on stderr, and silence the image and video decoders.
+    """Print each warning of the library once, as one line on stderr, and silence the image and video decoders.
 
     Decoder messages repeat what the library's own errors explain better.
     """
@@ -110,8 +110,13 @@ def warnings_as_lines(prog: str) -> Iterator[None]:
     opencv: Any = cv2 if hasattr(cv2, "setLogLevel") else cv2.utils.logging  # OpenCV 5, OpenCV 4
     opencv.setLogLevel(_LOG_LEVEL_ERROR)
 
+    shown = set[str]()
+
     def show(message: Warning | str, *_: Any) -> None:
-        print(f"{prog}: {' '.join(str(message).split())}", file=sys.stderr)
+        text = " ".join(str(message).split())
+        if text not in shown:
+            print(f"{prog}: {text}", file=sys.stderr)
+        shown.add(text)
 
     with warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)

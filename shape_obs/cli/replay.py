@@ -103,6 +103,7 @@ def summary(result: dict[str, Any]) -> str:
     for name, shape in result.get("shapes", {}).items():
         lines.append(f"{name:<15} ok in {shape['ok']}, {shape['valid_fraction']:.1%} of their points valid")
         lines += [f"  {count:>6} x      {reason}" for reason, count in shape["reasons"].items()]
+    lines += [f"{count:>8} x      {warning}" for warning, count in result.get("warnings", {}).items()]
     if "ms" in result:
         lines.append(f"ms per frame    {result['ms']['median']:.2f} median, {result['ms']['p95']:.2f} 95th percentile")
     lines += [f"wrote           {path}" for path in result.get("files", ())]
@@ -175,7 +176,8 @@ def _replay(args: Arguments, arguments: dict[str, Any], source: RGBDSource, tabl
     shapes = {spec.name: _summary_of(table, spec.name) for spec in detector.shapes}
     ms = {"median": round(float(np.median(times)), 3), "p95": round(float(np.percentile(times, 95)), 3)}
     hashes = {name: log.metadata[name] for name in ("schema_hash", "config_hash")}
-    return {"frames": len(table), "shapes": shapes, "ms": ms, "files": files, **hashes}
+    said = _counted(table["warning"])
+    return {"frames": len(table), "shapes": shapes, "warnings": said, "ms": ms, "files": files, **hashes}
 
 
 def make_detector(arguments: dict[str, Any], source: RGBDSource) -> ShapeDetector:
@@ -209,5 +211,10 @@ def _summary_of(table: Any, name: str) -> dict[str, Any]:
     return {
         "ok": int(ok.sum()),
         "valid_fraction": round(float(valid[ok].mean()), 4) if ok.any() else 0.0,
-        "reasons": dict(Counter(reason for reason in table[f"{name}/reason"].tolist() if reason)),
+        "reasons": _counted(table[f"{name}/reason"]),
     }
+
+
+def _counted(texts: Any) -> dict[str, int]:
+    """Return how often each text that is not empty occurs in a column."""
+    return dict(Counter(text for text in texts.tolist() if text))

@@ -50,7 +50,7 @@ class DetectorConfig(Spec):
             shape is lost, and after ``max_age`` the other one begins a new track. Cables that are swung through the
             air at 33 frames a second move by 9 cm and 70 px a frame at most, which is 3 m and 3.6 widths a second. None
             sets no limit.
-        dt: Seconds between frames that carry no stamp, or whose stamps stand still or run back.
+        dt: Seconds between frames without stamps, or whose stamps stand still, run back or jump by more than a day.
     """
 
     shapes: tuple[Configuration, ...] = field(default_factory=lambda: (Configuration.from_dict("centerline"),))

@@ -19,6 +19,7 @@ from shape_obs.frame import Frame
 from shape_obs.robot import ActionSpec
 from shape_obs.source import EndOfSource, RGBDSource
 from shape_obs.spec import Spec, SpecError
+from shape_obs.tracking.clock import Clock
 
 T = TypeVar("T", bound=Spec)
 
@@ -240,7 +241,7 @@ def read_moments(
     Args:
         source: The source; it is connected if necessary.
         frames: Largest number of frames.
-        seconds: Largest duration by the stamps, from the first one; the end is not included.
+        seconds: Largest duration by the stamps, as ``Clock`` measures it; the end is not included.
         patience: Seconds to wait for a frame; longer than a camera needs to recover after it stopped.
 
     Raises:
@@ -252,7 +253,7 @@ def read_moments(
     if seconds is not None and not seconds > 0:
         raise ValueError(f"seconds: expected more than 0, got {seconds}.")
     source.connect()
-    begin, count = None, 0
+    clock, count = Clock(), 0
     while frames is None or count < frames:
         try:
             moment = read_moment(source, patience)
@@ -262,9 +263,9 @@ def read_moments(
         if seconds is not None:
             if stamp is None:
                 raise ValueError(f"{source.name}: its frames have no stamps: give frames in place of seconds.")
-            begin = stamp if begin is None else begin
+            clock.tick(stamp)
             # Half a millisecond of tolerance, so that rounding errors do not add a frame.
-            if stamp - begin > seconds - 5e-4:
+            if clock.now > seconds - 5e-4:
                 return
         yield moment
         count += 1

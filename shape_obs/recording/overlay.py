@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Final
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 #: Suffixes of overlay videos.
 SUFFIXES: Final = (".mp4", ".avi", ".gif")
 _ENOUGH: Final = 15  # frames from whose stamps the rate is estimated
+_LONGEST_PAUSE: Final = 2.0  # seconds; longer pauses between frames are cut
+_UNLIKE: Final = 0.1  # of its duration, by which a video may differ from the recording without a word
 _READABLE: Final = 480  # pixels of height; smaller images are enlarged, so that numbers are legible
 
 
@@ -29,9 +32,17 @@ class OverlayVideo:
     ``.mp4`` is H.264, which browsers play, if the extra ``video`` is installed, otherwise MPEG-4 Part 2. ``.avi`` is
     Motion JPEG. ``.gif`` is reduced to 640 pixels, 12.5 pictures per second and 400 pictures.
 
+    A video has one rate, and frames may not: where one comes late, the picture before it is repeated, so that the video
+    plays at the speed of the stamps. No frame is left out, except from a GIF.
+
     Args:
         path: File with the suffix ``.mp4``, ``.avi`` or ``.gif``.
-        fps: Frames per second; None for the median rate of the first stamps, or 30 without stamps.
+        fps: Frames per second, each shown once; None for the median rate of the first stamps, at the speed of the
+            stamps, or 30 without stamps.
+
+    Warns:
+        UserWarning: The video is longer or shorter than the recording by more than a tenth: a pause of more than 2 s
+            was cut, or frames came faster than the first ones.
 
     Raises:
         ValueError: The suffix is another one.
@@ -44,9 +55,11 @@ class OverlayVideo:
             raise ValueError(f"{self.path}: expected a video named {', '.join('*' + suffix for suffix in SUFFIXES)}.")
         make_folder(self.path.parent)
         self._temporary: Path | None = None
-        self._fps = fps
-        self._early: list[Image] = []
-        self._stamps: list[float] = []
+        self._fps, self._timed = fps or 0.0, fps is None
+        self._early: list[tuple[Image, float]] = []
+        self._stamp: float | None = None
+        self._last: Image | None = None
+        self._shown, self._due, self._seconds = 0, 0.0, 0.0  # pictures, the index that is due, and the recording's time
         self._size: tuple[int, int] | None = None
         self._encoder: Encoder | None = None
 
@@ -64,21 +77,27 @@ class OverlayVideo:
         self._size = self._size or size
         if size != self._size:
             raise ValueError(f"frame {moment.frame.number} has another size than the first; a video has only one size.")
-        self._stamps.append(detection.stamp)
-        if self._encoder is None and len(self._early) < _ENOUGH and self._fps is None:
-            self._early.append(picture)
-        else:
-            self._write(picture)
+        gap = 0.0 if self._stamp is None else detection.stamp - self._stamp
+        self._stamp = detection.stamp
+        self._early.append((picture, gap))
+        if self._fps or len(self._early) >= _ENOUGH:
+            self._write_early()
 
     def close(self) -> None:
         """Finish the video; without frames no file is written."""
-        for picture in self._drain():
-            self._write(picture)
+        self._write_early()
         if self._encoder is not None:
             self._encoder.finish()
             self._encoder = None
             assert self._temporary is not None
             finish_file(self._temporary, self.path)
+            played = self._shown / self._fps
+            if self._timed and abs(played - self._seconds) > _UNLIKE * self._seconds + 1 / self._fps:
+                warnings.warn(
+                    f"{self.path} lasts {played:.3g} s, but the recording {self._seconds:.3g} s: pauses of more than "
+                    f"{_LONGEST_PAUSE:g} s are cut, and faster frames than the first are shown one by one.",
+                    stacklevel=2,
+                )
 
     def __enter__(self) -> Self:
         return self
@@ -95,23 +114,32 @@ class OverlayVideo:
             if self._temporary is not None:
                 self._temporary.unlink(missing_ok=True)
 
-    def _drain(self) -> list[Image]:
-        early, self._early = self._early, []
-        return early
+    def _write_early(self) -> None:
+        for picture, gap in self._early:
+            self._write(picture, gap)
+        self._early.clear()
 
-    def _write(self, picture: Image) -> None:
+    def _write(self, picture: Image, gap: float) -> None:
+        """Write a picture that is ``gap`` seconds later than the one before; that one is repeated while none is due."""
         if self._encoder is None:
             self._encoder = self._open()
-            for waiting in self._drain():
-                self._write(waiting)
+        usual = 1 / self._fps
+        gap = gap if gap > 0 else usual if self._shown else 0.0
+        self._seconds += gap
+        self._due += min(gap, max(_LONGEST_PAUSE, 2 * usual)) * self._fps
+        while self._timed and self._last is not None and self._due - self._shown > 1 - 1e-6:
+            self._encoder.add(self._last)
+            self._shown += 1
         self._encoder.add(picture)
+        self._last = picture
+        self._shown += 1
 
     def _open(self) -> Encoder:
         assert self._size is not None
-        gaps = np.diff(self._stamps)
-        gap = float(np.median(gaps)) if len(gaps) else 0.0
-        fps = self._fps or (1 / gap if gap > 1e-3 else 30.0)
+        if not self._fps:
+            gap = float(np.median([gap for _, gap in self._early[1:]] or [0.0]))
+            self._fps = 1 / gap if gap > 1e-3 else 30.0
         self._temporary = begin_file(self.path)
         if self.path.suffix == ".gif":
-            return GifEncoder(self._temporary, self._size, fps)
-        return open_encoder(self._temporary, self._size, fps)
+            return GifEncoder(self._temporary, self._size, self._fps)
+        return open_encoder(self._temporary, self._size, self._fps)

@@ -12,6 +12,7 @@ from shape_obs.frame import Frame
 from shape_obs.recording.format import Moment, read_moments
 from shape_obs.recording.writer import RecordingWriter, check_new_folder
 from shape_obs.source import EndOfSource, RGBDSource, SourceError
+from shape_obs.tracking.clock import Clock
 
 Depth = Literal["auto", "yes", "no"]
 
@@ -26,7 +27,7 @@ class Recorded:
         missed: Number of frames, by the source's frame numbers, that were never read.
         dropped: Number of frames that were read but not written, since the encoders or the disk were too slow.
         actions: Number of written frames that an action led to.
-        seconds: Time from the first stamp to the last; 0 without stamps.
+        seconds: Time from the first stamp to the last, as ``Clock`` measures it; 0 without stamps.
         stopped: ``"done"`` (a limit, or the end of the source), ``"interrupted"`` (Ctrl-C), or the message of an error.
     """
 
@@ -40,14 +41,16 @@ class Recorded:
 
     def __post_init__(self) -> None:
         self._last: Frame | None = None
+        self._clock = Clock()
 
     def count(self, frame: Frame) -> None:
         """Count a frame that was read; when the frame numbers restart, no frame counts as missed."""
         before, self._last = self._last, frame
         if before is not None and before.number is not None and frame.number is not None:
             self.missed += max(frame.number - before.number - 1, 0)
-        if before is not None and before.stamp is not None and frame.stamp is not None:
-            self.seconds += frame.stamp - before.stamp
+        if frame.stamp is not None:
+            self._clock.tick(frame.stamp)
+            self.seconds = self._clock.now
 
     def to_dict(self) -> dict[str, Any]:
         """Return the outcome as JSON values."""

@@ -1,9 +1,9 @@
-"""What happens to what was not seen: lost shapes, single points without depth, and time that a clock does not show."""
+"""Policies for what was not seen: lost shapes and single points without depth."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -14,46 +14,6 @@ from shape_obs.tracking.belief import MAX_SIGMA, aged
 
 OnMissing = Literal["hold", "truncate", "raise", "nan"]
 OnInvalid = Literal["interpolate", "hold", "nan"]
-
-_LEAST_STEP: Final = 1e-6  # seconds; a clock that ticks more slowly stands still
-_LARGEST_STEP: Final = 1e9  # seconds, 30 years: more would leave no digits for what comes later
-
-
-class Clock:
-    """Measure the time from frame to frame, also if the stamps do not.
-
-    Where a stamp stands still or runs back (a camera that froze, or whose clock was reset), ``dt`` passes: no shape
-    stays young because its camera's clock failed.
-
-    Args:
-        dt: Seconds between frames without stamps.
-
-    Attributes:
-        stamp: Of the last frame, as given, in seconds; without stamps frames are ``dt`` apart.
-        now: Seconds since the first frame; grows with each frame.
-        warning: What is wrong with the last stamp; empty if nothing is.
-    """
-
-    def __init__(self, dt: float) -> None:
-        self._dt = dt
-        self._started = False
-        self.stamp, self.now, self.warning = 0.0, 0.0, ""
-
-    def tick(self, stamp: float | None) -> None:
-        """Go on to the next frame, with its stamp in seconds if it has one."""
-        step = self._dt
-        self.warning = ""
-        if stamp is None:
-            self.stamp += step if self._started else 0.0
-        else:
-            shown, self.stamp = float(stamp) - self.stamp, float(stamp)
-            if shown >= _LEAST_STEP:
-                step = min(shown, _LARGEST_STEP)
-            elif self._started:
-                what = "stands still" if shown > -_LEAST_STEP else "runs back"
-                self.warning = f"the stamp {what}: dt is taken as the time since the last frame"
-        self.now += step if self._started else 0.0
-        self._started = True
 
 
 class ShapeLostError(RuntimeError):

@@ -8,12 +8,15 @@ be randomised.
 those of the first K shapes, such as the slots of one configuration, equally many points for each.
 ``shape_obs_defaults``: a mapping of wrapper arguments, used unless the user passes others.
 ``action_spec``: an ``ActionSpec``, the meaning of actions; a saved policy contains it and compares it with the robot's.
-``dt``: seconds per step, for frames without ``info["stamp"]``; default: ``1 / metadata["render_fps"]``.
+``dt``: seconds per step, for frames without ``info["stamp"]``; default: ``1 / metadata["render_fps"]``. Wrappers that
+repeat a step are counted, see ``EnvClock``; one that publishes ``dt`` gives the duration of its steps.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, Final
 
 import gymnasium as gym
@@ -23,6 +26,14 @@ from shape_obs.camera import CameraModel, as_camera_model
 from shape_obs.configurations.base import Configuration
 
 GOALS = ("achieved_goal", "desired_goal")
+#: Wrappers that repeat each step, of Gymnasium and Stable-Baselines3, and the attribute that holds how often.
+_REPEATS: Final = {
+    "AtariPreprocessing": "frame_skip",
+    "MaxAndSkipEnv": "_skip",
+    "MaxAndSkipObservation": "_skip",
+    "RepeatAction": "num_repeats",
+}
+_USUAL_RATE: Final = 30.0  # steps a second of an env that publishes none
 _MISSING: Final = object()
 
 
@@ -82,7 +93,7 @@ def anchors(env: gym.Env[Any, Any]) -> Mapping[str, Sequence[float]]:
 def defaults(env: gym.Env[Any, Any]) -> dict[str, Any]:
     """Return the wrapper arguments that the env suggests."""
     first = next(iter(anchors(env)), None)
-    return {"dt": seconds_per_step(env), "anchor": first, **published(env, "shape_obs_defaults", {})}
+    return {"anchor": first, **published(env, "shape_obs_defaults", {}), "dt": seconds_per_step(env)}
 
 
 def goal_layout(env: gym.Env[Any, Any]) -> Mapping[str, Any]:
@@ -102,6 +113,88 @@ def base_point(shape: Configuration, named: Mapping[str, Sequence[float]]) -> tu
 
 
 def seconds_per_step(env: gym.Env[Any, Any]) -> float:
-    """Return the time step of the env."""
-    fps = env.metadata.get("render_fps") or 30
-    return float(published(env, "dt") or 1 / fps)
+    """Return the duration of a step, as far as it is known before one was taken."""
+    timed, dt = _timed(env)
+    repeats = 1
+    while env is not timed and isinstance(env, gym.Wrapper):
+        repeats *= getattr(env, _REPEATS.get(type(env).__name__, ""), 1)
+        env = env.env
+    return repeats * (dt or 1 / _USUAL_RATE)
+
+
+def _timed(env: gym.Env[Any, Any]) -> tuple[gym.Env[Any, Any], float | None]:
+    """Return the env or wrapper whose steps have a known duration, and this duration in seconds; None if unknown."""
+    fps = env.metadata.get("render_fps")
+    while True:
+        dt = getattr(env, "shape_obs_defaults", {}).get("dt") or getattr(env, "dt", None)
+        if dt or not isinstance(env, gym.Wrapper):
+            return env, float(dt) if dt else 1 / fps if fps else None
+        env = env.env
+
+
+class EnvClock:
+    """Take the steps of an env and measure their time, also if its wrappers change what a step is.
+
+    A wrapper may repeat a step (``RepeatAction``, a user's frame skip) or reset the env within one (``Autoreset``): the
+    calls that reach the env are counted, and its ``dt`` passes with each of its steps.
+
+    Args:
+        env: The env.
+        dt: Seconds per step of ``env``, if they are not to be measured.
+
+    Attributes:
+        now: Seconds since the clock was made; a user may set it.
+        dt: Seconds of a whole step, as far as was measured or is known before.
+        was_reset: Whether the env was reset within the last step, so that its observation begins an episode.
+
+    Warns:
+        UserWarning: Once, if a stamp is asked for and nothing shows how long a step is.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], dt: float | None = None) -> None:
+        self._env, self._given = env, dt
+        self._timed, known = _timed(env)
+        self._unknown = known is None and dt is None
+        self._each = known or 1 / _USUAL_RATE
+        self.now, self.dt, self.was_reset = 0.0, seconds_per_step(env), False
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step the env, and return what it returned."""
+        calls: list[str] = []
+        with _noted(self._timed, "step", calls), _noted(self._env.unwrapped, "reset", calls):
+            result = self._env.step(action)
+        seconds = (calls.count("step") or 1) * self._each
+        self.dt, self.was_reset = max(self.dt, seconds), "reset" in calls  # the last step of an episode may be shorter
+        self.now += self._given or seconds
+        return result
+
+    def stamp(self, info: Mapping[str, Any]) -> Any:
+        """Return the stamp in ``info``, otherwise the time that was measured, in seconds."""
+        stamp = info.get("stamp")
+        if stamp is None and self._unknown:
+            self._unknown = False
+            warnings.warn(
+                f"{self._env.unwrapped}: it is unknown how long a step is, so 1/30 s is taken: publish dt (seconds), "
+                "metadata['render_fps'] or info['stamp'], or give ShapeObservation dt=. This warning is shown once.",
+                stacklevel=4,
+            )
+        return self.now if stamp is None else stamp
+
+
+@contextmanager
+def _noted(env: gym.Env[Any, Any], name: str, calls: list[str]) -> Iterator[None]:
+    """Append ``name`` to ``calls`` whenever this method of an env is called within the context."""
+    before, method = vars(env).get(name, _MISSING), getattr(env, name)
+
+    def noted(*args: Any, **kwargs: Any) -> Any:
+        calls.append(name)
+        return method(*args, **kwargs)
+
+    setattr(env, name, noted)
+    try:
+        yield
+    finally:
+        if before is _MISSING:
+            delattr(env, name)
+        else:
+            setattr(env, name, before)

@@ -126,22 +126,20 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         self.observation_space = self._layout.space
         self.detection = None
         self.targets = ()
-        self._time = 0.0
+        self._clock = env_protocol.EnvClock(env, given.get("dt"))
         self._begin(context)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the env and the track."""
         observation, info = self.env.reset(seed=seed, options=options)
-        # A randomised camera may have another pose in each episode.
-        self._begin(replace(self._context, camera=self._camera_of(self.env)))
-        self.detector.reset()
-        self._time = 0.0
+        self._begin_episode()
         return self._observe(observation, info), info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step the env; the reward of a goal-conditioned env is computed from the detected shape."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        self._time += self.detector.config.dt
+        observation, reward, terminated, truncated, info = self._clock.step(action)
+        if self._clock.was_reset:
+            self._begin_episode()
         seen = self._observe(observation, info)
         if self._goal is not None:
             info["truth/reward"] = reward
@@ -171,6 +169,11 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         return self._contexts
 
     @property
+    def dt(self) -> float:
+        """Duration of a step in seconds, repetitions by wrappers included as far as they are known or were seen."""
+        return self._clock.dt
+
+    @property
     def target(self) -> Shape | None:
         """The first of ``targets``; None without any."""
         return self.targets[0] if self.targets else None
@@ -183,6 +186,12 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
     def _camera_of(self, env: gym.Env[Any, Any]) -> CameraModel | None:
         return self._given_camera or env_protocol.camera_model(env, self._images.size)
 
+    def _begin_episode(self) -> None:
+        """Forget the track, and read the camera again: it may have another pose in each episode."""
+        self._begin(replace(self._context, camera=self._camera_of(self.env)))
+        self.detector.reset()
+        self._clock.now = 0.0
+
     def _begin(self, context: FeatureContext) -> None:
         """Start an episode with a camera, and find the wrapper or env that publishes the anchors."""
         self._context = context
@@ -193,7 +202,7 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
     def _observe(self, observation: Any, info: dict[str, Any]) -> Any:
         """Detect the shapes of a frame, add them to ``info`` and return the wrapped observation."""
         rgb, depth = self._images.read(observation)
-        camera, stamp = self._context.camera, info.get("stamp", self._time)
+        camera, stamp = self._context.camera, self._clock.stamp(info)
         self._contexts = None
         self.detection = detection = self.detector.detect(rgb, depth, camera, stamp=stamp, anchors=self._anchors)
         _add_info(info, detection.shapes)

@@ -8,10 +8,11 @@ import shutil
 import cv2
 import numpy as np
 import pytest
+from noise_frames import camera_of
 
-from shape_obs import save_config
+from shape_obs import Frame, save_config
 from shape_obs.cli import main
-from shape_obs.recording import Recording, ShapeTable
+from shape_obs.recording import Moment, Recording, RecordingWriter, ShapeTable
 
 BLUE = {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}
 CABLE = ["--set", "actions=random", "seed=2", "renderer=rays", "camera=[96, 72]"]
@@ -90,6 +91,20 @@ def test_seconds_are_those_of_the_stamps(place, tmp_path, run):
     assert code == 0
     assert (report["frames"], report["dropped"], report["stopped"]) == (10, 0, "done")
     assert report["seconds"] == pytest.approx(0.45)
+
+
+def test_stamps_in_milliseconds_or_that_stand_still_are_said_once(place, tmp_path, run):
+    rgb = np.asarray(cv2.imread(str(place / "photos" / "0.png")))
+    frames = [Frame(rgb, stamp=33.3 * min(i, 6), number=i) for i in range(8)]
+    with RecordingWriter(tmp_path / "a", camera_of(frames)) as writer:
+        for frame in frames:
+            writer.add(Moment(frame))
+    code, out, err = run("record", "--source", tmp_path / "a", "-o", tmp_path / "b", "--seconds", 250)
+    assert (code, err.count("milliseconds")) == (0, 1)
+    assert "8 frames, 199.83 s" in out, "where the stamp stands still, time goes on"
+    code, out, err = run("replay", tmp_path / "b", "--config", place / "pixels.yaml")
+    assert (code, err.count("milliseconds")) == (0, 1)
+    assert "1 x      the stamp stands still" in out
 
 
 def test_photos_and_videos_are_recorded_and_replayed(place, tmp_path, run):

@@ -182,10 +182,16 @@ def test_a_second_run_keeps_the_shapes_and_replaces_the_dataset(place, made, tmp
     shutil.copytree(made, out)
     (out / ".lerobot.0123").mkdir()  # left by a run that was killed
     before = {path.name: path.stat().st_mtime_ns for path in (out / "extraction").glob("*.parquet")}
-    code, result, err = extract(place / "r0", "--config", place / "c.yaml", "--to", "lerobot", "-o", out, "--fps", 10)
-    assert (code, result["kept"], result["lerobot"]["episodes"]) == (0, 2, 2), err
+    for options in (["--fps", "29.97"], []):
+        code, result, err = extract(place / "r0", "--config", place / "c.yaml", "--to", "lerobot", "-o", out, *options)
+        assert (code, result["kept"], result["lerobot"]["episodes"]) == (0, 2, 2), err
+        assert (read(out, "info")["fps"], result["lerobot"]["task"]) == (29.97, "shape the rope")
+        tasks = parquet.read_table(out / "meta" / "tasks.parquet")
+        assert tasks["__index_level_0__"].to_pylist() == ["shape the rope"]
+        for said in ("2 episodes in", "lasts 0.167 s at 29.97 frames a second, but 0.25 s by its stamps"):
+            assert said in err
+        assert ("videos of the existing dataset are removed" in err) == bool(options and (made / "videos").is_dir())
     assert {name: (out / "extraction" / name).stat().st_mtime_ns for name in before} == before
-    assert read(out, "info")["fps"] == 10
     assert sorted(path.name for path in out.iterdir()) == ["data", "extraction", "meta"]
     (out / "meta" / "info.json").write_text("{}")  # by another program
     again = (place / "r0", "--config", place / "c.yaml", "--to", "lerobot", "-o", out)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+import warnings
 
 import cv2
 import numpy as np
@@ -20,11 +21,12 @@ from shape_obs_envs.sources import FolderSource
 NOTHING = ShapeDetector(["centerline"], {"kind": "gray", "low": 1, "high": 2})
 
 
-def write(path, pictures, fps=None):
-    """Write pictures without shapes, whose stamps are a twentieth of a second apart."""
+def write(path, pictures, fps=None, stamps=None):
+    """Write pictures without shapes, whose stamps are a twentieth of a second apart unless given."""
     with OverlayVideo(path, fps) as overlay:
         for i, picture in enumerate(pictures):
-            overlay.add(Moment(shape_obs.Frame(picture)), NOTHING.detect(picture, stamp=i / 20))
+            stamp = i / 20 if stamps is None else stamps[i]
+            overlay.add(Moment(shape_obs.Frame(picture)), NOTHING.detect(picture, stamp=stamp))
 
 
 def decoded(path):
@@ -89,6 +91,32 @@ def test_without_an_encoder_a_line_says_so_and_opencv_encodes(tmp_path, monkeypa
         write(tmp_path / "v.mp4", gray((480, 640), 20))
     assert codec(tmp_path / "v.mp4") == b"FMP4"
     assert len(decoded(tmp_path / "v.mp4")[0]) == 20
+
+
+@pytest.mark.parametrize(
+    ("stamps", "wanted", "word"),
+    [
+        ([*np.arange(12) / 20, *(0.6 + np.arange(8) / 4)], [*range(12), *np.repeat(np.arange(12, 19), 5), 19], False),
+        (np.arange(20) / 20 + np.array([0, 0.02] * 10), range(20), False),
+        ([*np.arange(10) / 20, *(np.arange(10) / 20)], range(20), False),
+        ([*np.arange(19) / 20, 1000.0], [*range(18), *(40 * [18]), 19], True),
+        ([*np.arange(16) / 4, *(3.75 + np.arange(1, 5) / 100)], range(20), True),
+    ],
+)  # fmt: skip
+def test_a_video_plays_at_the_speed_of_the_stamps_and_leaves_nothing_out(tmp_path, stamps, wanted, word):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        write(tmp_path / "v.avi", gray((48, 64), 20), stamps=stamps)
+    pictures, rate = decoded(tmp_path / "v.avi")
+    assert [round((250 - picture[400, 320].mean()) / 10) for picture in pictures] == list(wanted)
+    assert rate == pytest.approx(1 / np.median(np.diff(stamps[:15])), rel=0.05)
+    assert any("but the recording" in str(each.message) for each in caught) is word
+
+
+def test_the_rate_of_an_mp4_is_not_rounded(tmp_path):
+    pytest.importorskip("imageio_ffmpeg")
+    write(tmp_path / "v.mp4", gray((48, 64), 3), fps=30 / 1.001)
+    assert decoded(tmp_path / "v.mp4")[1] == 30000 / 1001
 
 
 def test_a_gif_has_the_speed_of_the_frames(tmp_path):

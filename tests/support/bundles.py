@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.utils import RecordConstructorArgs
 from rope_env import wrapped
 
 import shape_obs_envs  # noqa: F401
@@ -78,9 +80,21 @@ def old_bundle(model, env, path: Path) -> None:
 WORKSPACE = ((-1.0, -1.0, -1.0), (1.0, 1.0, 2.0))
 
 
-def rope(n: int) -> Any:
+class Twice(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+    """A frame skip of a user."""
+
+    def __init__(self, env: Any) -> None:
+        RecordConstructorArgs.__init__(self)
+        gym.Wrapper.__init__(self, env)
+
+    def step(self, action: Any) -> Any:
+        self.env.step(action)
+        return self.env.step(action)
+
+
+def rope(n: int, around: Callable[[Any], Any] = lambda env: env) -> Any:
     shapes = [{"kind": "centerline", "n": n}]
-    env = gym.make(registered(), disable_env_checker=True)
+    env = around(gym.make(registered(), disable_env_checker=True))
     return wrapped(env, shapes=shapes, features=[POINTS], workspace=WORKSPACE)
 
 

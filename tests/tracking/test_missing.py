@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,7 @@ def test_frames_without_stamps_are_dt_apart(wave, empty):
     [
         (10 * [1.0], "stands still"), (np.arange(10) * 1e-9 + 1, "stands still"), (-np.arange(10.0), "runs back"),
         (10 * [1.7e18], "stands still"), (1e300 * (1 - np.arange(10)), "runs back"),
+        (1e5 * np.arange(10), "jumps"), (1e306 * np.arange(10), "jumps"),
     ],
 )  # fmt: skip
 def test_a_clock_that_fails_keeps_no_lost_shape_alive(wave, empty, stamps, what):
@@ -62,10 +64,45 @@ def test_a_clock_that_fails_keeps_no_lost_shape_alive(wave, empty, stamps, what)
 
 
 def test_a_clock_that_works_again_is_believed_again(wave, empty):
+    """It may have been set to the time of day meanwhile."""
     detector = ShapeDetector(max_age=0.5, dt=0.1)
     detector.detect_mask(wave.mask, stamp=1.0)
-    ages = [detector.detect_mask(empty, stamp=stamp).shapes[0].age for stamp in (1.0, 1.05, 0.2, 0.21, 7.21)]
-    assert ages == pytest.approx([0.1, 0.15, 0.25, 0.26, 7.26])
+    stamps = (1.0, 1.05, 0.2, 0.21, 7.21, 1.7e9, 1.7e9 + 1, 1.7e9 + 1, 1.7e9 + 1, 1.7e9 + 2)
+    ages = [detector.detect_mask(empty, stamp=stamp).shapes[0].age for stamp in stamps]
+    assert ages == pytest.approx([0.1, 0.15, 0.25, 0.26, 7.26, 7.36, 8.36, 8.46, 8.56, 9.56])
+
+
+@pytest.mark.parametrize(
+    ("stamps", "unit"),
+    [
+        (np.arange(8) / 30, None), (1.7e9 + np.arange(8) / 30, None), (np.arange(8.0), None),
+        (np.arange(8) / 1000, None),
+        ([0, 0.03, 0.07, 2000.0, 2000.03, 2000.07, 2000.1, 2000.13], None), (2.0 * np.arange(8), None),
+        (np.arange(8) * 1e3 / 30, "milliseconds, 30 frames"), (1.7e12 + np.arange(8) * 4.0, "milliseconds"),
+        (np.arange(8) * 1e6 / 30, "microseconds"), (1700000000000000000 + np.arange(8) * 33333333, "nanoseconds"),
+        (np.arange(8), "frame numbers"), (2 * np.arange(8), "frame numbers"), (np.arange(8) / 3e4, "divided by 1000"),
+        ((1.7e9 + np.arange(8)).astype(np.float32), "resolves 128 s"), (np.arange(70) // 30, "parts of seconds"),
+    ],
+)  # fmt: skip
+def test_stamps_in_another_unit_warn_once_and_one_hertz_does_not(wave, stamps, unit):
+    detector = ShapeDetector()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for _ in range(2):
+            detector.reset()
+            for stamp in stamps:
+                assert detector.detect_mask(wave.mask, stamp=stamp).shapes[0].track_id == 1
+    assert [unit in str(each.message) for each in caught] == [True] * (unit is not None)
+
+
+@pytest.mark.parametrize(("step", "max_age", "count"), [(1.0, 0.5, 1), (1.0, 1.5, 0), (0.6, 0.5, 0)])
+def test_a_track_that_ends_with_one_frame_of_slow_stamps_warns_once(wave, empty, step, max_age, count):
+    detector = ShapeDetector(max_age=max_age)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for i in range(12):
+            detector.detect_mask(empty if i in (7, 9) else wave.mask, stamp=step * i)
+    assert ["max_age" in str(each.message) for each in caught] == count * [True]
 
 
 @pytest.mark.parametrize("policy", ["truncate", "nan"])

@@ -11,10 +11,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+import rope_env
 from env_checks import check_both
 from goal_envs import RED, FlatGoalEnv
 from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import Autoreset, OrderEnforcing, RepeatAction, TimeLimit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rope_env import BLUE, INTRINSICS, PixelEnv, RopeEnv, run, walk, wrapped
@@ -61,6 +63,30 @@ class TestLayout:
             wrapped(renamed())
         with pytest.raises(ValueError, match=r"keep: 'shape' is the key that this wrapper uses for the shape; rename"):
             wrapped(renamed(), rgb_key="colour", keep=["shape"])
+
+
+class Twice(gym.Wrapper[Any, Any, Any, Any]):
+    """A frame skip of a user's own."""
+
+    def step(self, action: Any) -> Any:
+        self.env.step(action)
+        return self.env.step(action)
+
+
+class Timed(gym.Wrapper[Any, Any, Any, Any]):
+    """It knows how long its steps are."""
+
+    dt = 0.5
+
+
+class ResetWithin(gym.Wrapper[Any, Any, Any, Any]):
+    """Reset in the step that ends an episode."""
+
+    def step(self, action: Any) -> Any:
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        if truncated:
+            observation, info = self.env.reset()
+        return observation, reward, terminated, truncated, info
 
 
 class TestArguments:
@@ -212,9 +238,33 @@ class TestInfo:
         assert [info["shape/age"] for info in infos] == pytest.approx([0, 0, 3.0, 6.0])
         assert [info["shape/ok"] for info in infos] == [True, True, False, False]
 
-    def test_a_given_dt_is_the_time_step(self):
-        infos = [step[4] for step in run(wrapped(RopeEnv(hide=[2, 3]), dt=0.2), steps=3)]
-        assert [info["shape/age"] for info in infos] == pytest.approx([0, 0, 0.2, 0.4])
+    @pytest.mark.parametrize(
+        ("wrap", "given", "dt"),
+        [
+            (lambda env: env, {}, 0.1), (lambda env: env, {"dt": 0.2}, 0.2), (Twice, {"dt": 0.3}, 0.3),
+            (lambda env: RepeatAction(TimeLimit(OrderEnforcing(env), 99), 3), {}, 0.3), (Twice, {}, 0.2),
+            (lambda env: Twice(RepeatAction(env, 2)), {}, 0.4), (lambda env: Timed(Twice(env)), {}, 0.5),
+            (lambda env: Twice(Timed(env)), {}, 1.0),
+        ],
+    )  # fmt: skip
+    def test_time_goes_on_by_what_a_step_lasts_under_any_wrapper(self, wrap, given, dt):
+        env = wrapped(wrap(RopeEnv(hide=range(1, 99), length=99)), **given)
+        assert [step[4]["shape/age"] for step in run(env, steps=3)] == pytest.approx([0, dt, 2 * dt, 3 * dt])
+        assert given or env.dt == pytest.approx(dt)
+        assert "step" not in vars(env.unwrapped)
+
+    def test_a_time_step_that_nothing_shows_is_said_once(self, monkeypatch):
+        monkeypatch.setattr(RopeEnv, "metadata", {})
+        with pytest.warns(UserWarning, match="how long a step is") as caught:
+            _ = [run(env, steps=3) for env in (wrapped(), wrapped(dt=0.1))]
+        assert [each.filename for each in caught] == [rope_env.__file__]
+
+    @pytest.mark.parametrize("wrap", [Autoreset, ResetWithin])
+    def test_an_env_that_resets_itself_begins_a_track_and_a_time(self, wrap):
+        env = wrapped(wrap(RopeEnv(hide=[2], length=2)), features=["new"])
+        seen = [(env.detection.stamp, bool(step[0][0])) for step in walk(env, steps=5) if env.detection is not None]
+        episode = [(0, True), (0.1, False), (0.2, False)]
+        assert seen == (2 * episode if wrap is Autoreset else 3 * episode[:2])
 
 
 class TestMissing:

@@ -28,9 +28,9 @@ Actions = Literal["zero", "random"] | Callable[[Any], Any]
 class EnvSource(SequenceSource):
     """Frames of an environment: the first follows its reset, each further one takes a step.
 
-    After the last frame of an episode the next frame is the start of a new episode. Stamps are ``info["stamp"]`` if the
-    environment provides it, otherwise multiples of its ``dt`` that continue over resets; the camera is its
-    ``camera_model``.
+    After the last frame of an episode the next frame is the start of a new episode, also if a wrapper resets the
+    environment. Stamps are ``info["stamp"]`` if the environment provides it, otherwise the time of its steps (see
+    ``EnvClock``), which continues over resets; the camera is its ``camera_model``.
 
     Args:
         env: An id, such as ``"shape_obs_envs:ShapeObs/Cable-v0"``, made by ``connect`` and closed by ``disconnect``; or
@@ -119,7 +119,7 @@ class EnvSource(SequenceSource):
             env.action_space.seed(self._seed)
         self._env, self._connected = env, True
         self._steps, self.transition, self.state = EnvSteps(env, self.name), None, None
-        self._dt = env_protocol.seconds_per_step(env)
+        self._clock = env_protocol.EnvClock(env)
         self._number, self._episode, self._over = 0, -1, True
         self._observation: Any = None
 
@@ -136,14 +136,17 @@ class EnvSource(SequenceSource):
             self._episode += 1
             self._observation, info = env.reset(seed=self._seed if self._episode == 0 else None)
             self._over, self.transition = False, Transition(0)
+            self._clock.now += self._clock.dt if self._episode else 0.0
         else:
             action = self._action(env)
-            self._observation, reward, terminated, truncated, info = env.step(action)
-            self._over = bool(terminated or truncated)
+            self._observation, reward, terminated, truncated, info = self._clock.step(action)
+            self._over = bool(terminated or truncated) and not self._clock.was_reset
             last = 0 if self.transition is None else self.transition.step
             self.transition = Transition(
                 last + 1, self._steps.action(action), float(reward), bool(terminated), bool(truncated)
             )
+            if self._clock.was_reset:
+                self._episode, self.transition = self._episode + 1, Transition(0)
         self.state = self._steps.state(self._observation)
         try:
             rgb, depth = self._images.read(self._observation)
@@ -153,7 +156,7 @@ class EnvSource(SequenceSource):
             np.array(rgb),  # environments may reuse their buffers
             None if depth is None else np.array(depth),
             self.camera,
-            stamp=float(info.get("stamp", self._number * self._dt)),
+            stamp=self._clock.stamp(info),
             received=time.monotonic(),
             number=self._number,
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -46,7 +47,8 @@ class WebcamSource(LiveSource):
         extrinsics: The pose of the camera, or a file that contains it; has no effect without intrinsics.
         width: Width of the images in pixels; None for the camera's own.
         height: Height of the images in pixels; None for the camera's own.
-        fps: Frames per second to ask for; cameras may deliver less, in low light for example.
+        fps: Frames per second to ask for; a warning reports another rate. Cameras may deliver less, in low light for
+            example.
         fourcc: Pixel format to ask for, such as ``"MJPG"``, with which USB 2 carries larger images.
         intrinsics: The camera's intrinsics, or the file of ``shape-obs calibrate intrinsics``; frames are then
             rectified. None if unknown: frames are as the lens shows them, and have no camera.
@@ -108,8 +110,13 @@ class WebcamSource(LiveSource):
         except SourceError:
             capture.release()
             raise
-        fps = capture.get(cv2.CAP_PROP_FPS)
-        self.latency = 2 / (fps if 1 <= fps <= 1000 else _USUAL_FPS)
+        fps, asked = capture.get(cv2.CAP_PROP_FPS), self._mode["fps"]
+        known = 1 <= fps <= 1000
+        self.latency = 2 / (fps if known else _USUAL_FPS)
+        if asked and known and abs(fps - asked) > 0.01 * asked:
+            warnings.warn(
+                f"{self.name} has no {asked:g} frames a second at this size; it delivers {fps:g}.", stacklevel=3
+            )
         self._capture = capture
 
     def grab(self, timeout: float) -> Frame | None:

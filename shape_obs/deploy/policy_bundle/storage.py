@@ -10,6 +10,7 @@ import warnings
 import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -53,6 +54,7 @@ from shape_obs.deploy.policy_bundle.spaces import Statistics, channels_first, la
 from shape_obs.robot import ActionSpec
 from shape_obs.spec import to_plain
 from shape_obs.utils.arrays import decode_npz
+from shape_obs.wrappers.env_protocol import seconds_per_step
 
 if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec
@@ -104,6 +106,8 @@ def save_bundle(
         surroundings = Surroundings.of(rebuilt)
     finally:
         rebuilt.close()
+    if surroundings.config is not None:
+        surroundings = replace(surroundings, dt=_step_of(env))
     record = Record(
         algorithm=network.algorithm,
         summary={**counts, **given},
@@ -149,6 +153,13 @@ def _check_trained_in(model: BaseAlgorithm, record: Record) -> None:
         if different:
             place, trained, here = different[0]
             raise BundleError(f"the model was trained in another environment: {place}: {trained} then, {here} in this.")
+
+
+def _step_of(env: Any) -> float:
+    """Return the duration of a step in seconds, as the ``ShapeObservation`` of a training measured it."""
+    from stable_baselines3.common.vec_env import VecEnv
+
+    return float(env.get_attr("dt")[0]) if isinstance(env, VecEnv) else seconds_per_step(env)
 
 
 def _normalize(env: Any) -> Any:

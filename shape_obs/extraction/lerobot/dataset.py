@@ -27,6 +27,7 @@ _MANIFEST: Final = "_lerobot.json"
 _INFO: Final = "meta/info.json"
 #: Frames per second of recordings without stamps.
 _FPS: Final = 30.0
+_UNLIKE: Final = 0.1  # of the duration of an episode, by which its rows may differ without a word
 
 
 def write_lerobot(
@@ -34,22 +35,24 @@ def write_lerobot(
     tasks: Sequence[Task],
     out: Path,
     *,
-    task: str = "",
+    task: str | None = None,
     fps: float | None = None,
     videos: bool = False,
     overwrite: bool = False,
 ) -> LeRobotSummary:
     """Write the episodes of an extraction as a LeRobot dataset, completely or not at all.
 
-    One that was written from this extraction before, and was not changed since, is replaced.
-    Timestamps are multiples of ``1 / fps``, as LeRobot expects them.
+    One that was written from this extraction before, and was not changed since, is replaced; its ``task`` and ``fps``
+    are kept unless others are given. Timestamps are multiples of ``1 / fps``, as LeRobot expects them.
 
     Args:
         job: The extraction, whose dataset in ``job.out`` is complete.
         tasks: The episodes, in order; those that the extraction's dataset lacks are left out.
         out: The folder, in which ``data``, ``meta`` and ``videos`` are replaced.
-        task: What is done in the episodes, in words, for policies that read language.
-        fps: Frames per second; None for the median rate of the stamps.
+        task: What is done in the episodes, in words, for policies that read language; default: that of an
+            earlier run, else "move the" and the names of the shapes.
+        fps: Frames per second; default: those given to an earlier run, else the median rate of the stamps, as a whole
+            number if it is within 1 % of one.
         videos: Whether to encode the camera's images, as H.264.
         overwrite: Whether to replace any other ``data``, ``meta`` and ``videos``.
 
@@ -60,29 +63,48 @@ def write_lerobot(
         OSError: A file cannot be read or written.
 
     Warns:
-        UserWarning: Frames inside episodes are left out, since a frame after them was dropped.
+        UserWarning: Frames inside episodes are left out, since a frame after them was dropped; the duration of episodes
+            is another one by their stamps than by ``fps``; or episodes or videos that were there are left out.
     """
     if fps is not None and not 0 < fps < np.inf:
         raise ValueError(f"fps: expected more than 0, got {fps}.")
+    manifest = job.out / _MANIFEST
+    earlier = read_json(manifest, "manifest") if manifest.exists() else {}
+    if task is None:
+        task = str(earlier.get("task") or f"move the {' and the '.join(shape.name for shape in job.detector().shapes)}")
+    fps = chosen = fps or earlier.get("fps")
     if videos:
         need_encoder()
+    elif (out / "videos").is_dir():
+        _warn("the videos of the existing dataset are removed: give --videos (videos=True) to have them again.")
     if not overwrite:
         check_lerobot_folder(out, job.out)
     present = [each for each in tasks if (job.out / each.part).exists()]
-    features, rate, robot = _survey(job, present)
-    rate = rate if fps is None else fps
+    others = len({path.name for path in job.out.glob("*.parquet")} - {each.part for each in present})
+    if others:
+        _warn(f"{others} episodes in {job.out} are left out: they are of recordings that were not named this time.")
+    features, rate, robot, seconds = _survey(job, present)
+    fps = fps or _nominal(rate)
+    for each, (steps, by_stamps) in seconds.items():
+        if abs(steps / fps - by_stamps) > _UNLIKE * by_stamps:
+            _warn(
+                f"{each.source}, episode {each.index}, lasts {steps / fps:.3g} s at {fps:.6g} frames a second, but "
+                f"{by_stamps:.3g} s by its stamps, and perhaps others: a LeRobot dataset has one rate, see --fps."
+            )
+            break
     for stale in make_folder(out).glob(".lerobot.*"):  # left by a run that was killed
         shutil.rmtree(stale)
     folder = out / f".lerobot.{secrets.token_hex(8)}"
     try:
-        writer = LeRobotWriter(folder, features, round(rate) if abs(rate - round(rate)) < 0.01 * rate else rate)
+        writer = LeRobotWriter(folder, features, int(fps) if fps == int(fps) else fps)
         for each in present:
             episode = _read(job, each)
             writer.add(episode, task, (job, each) if videos else None)
         summary = writer.close(task, robot)
         for name in reversed(_FOLDERS):  # without meta the rest is no dataset
             shutil.rmtree(out / name, ignore_errors=True)
-        write_text(job.out / _MANIFEST, json.dumps({_INFO: _digest(folder / _INFO)}) + "\n")
+        made = {_INFO: _digest(folder / _INFO), "task": task, "fps": chosen}
+        write_text(manifest, json.dumps(made) + "\n")
         for name in _FOLDERS:
             if (folder / name).exists():
                 (folder / name).replace(out / name)
@@ -113,6 +135,19 @@ def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+def _nominal(rate: float) -> float:
+    """Return the frames per second that a camera has whose stamps show this rate: 29.97 and 30 differ by 0.1 %."""
+    whole = round(rate)
+    for nominal, nearly in ((whole / 1.001, 1e-4), (float(whole), 0.01)):
+        if abs(rate - nominal) < nearly * rate:
+            return nominal
+    return rate
+
+
+def _warn(text: str) -> None:
+    warnings.warn(text, UserWarning, stacklevel=3)
+
+
 def _read(job: Extraction, task: Task) -> Episode:
     try:
         return read_episode(ShapeTable.load(job.out / task.part))
@@ -120,10 +155,12 @@ def _read(job: Extraction, task: Task) -> Episode:
         raise ValueError(f"{task.source}, episode {task.index}: {error}") from error
 
 
-def _survey(job: Extraction, tasks: Sequence[Task]) -> tuple[dict[str, Any], float, str | None]:
-    """Return the features that all episodes share, the frames per second, and the name of the robot."""
+def _survey(
+    job: Extraction, tasks: Sequence[Task]
+) -> tuple[dict[str, Any], float, str | None, dict[Task, tuple[int, float]]]:
+    """Return the features that all share, the frames per second, the robot's name, and (steps, seconds) of each."""
     features: dict[str, Any] = {}
-    gaps, robots, left_out = [], set[str | None](), 0
+    gaps, robots, left_out, seconds = [], set[str | None](), 0, {}
     for task in tasks:
         episode = _read(job, task)
         mine = episode.features()
@@ -137,13 +174,12 @@ def _survey(job: Extraction, tasks: Sequence[Task]) -> tuple[dict[str, Any], flo
         gaps.append(episode.gap)
         robots.add(episode.robot)
         left_out += episode.left_out
+        if episode.seconds > 0:
+            seconds[task] = episode.steps, episode.seconds
     if not features:
         raise ValueError("no episode was extracted, so there is no LeRobot dataset to write.")
     if left_out:
-        warnings.warn(
-            f"{left_out} frames are left out: the frame after them was dropped, so it is unknown what followed them.",
-            UserWarning,
-            stacklevel=3,
-        )
+        _warn(f"{left_out} frames are left out: the frame after them was dropped, so it is unknown what followed them.")
     known = [gap for gap in gaps if gap > 0]
-    return features, 1 / float(np.median(known)) if known else _FPS, robots.pop() if len(robots) == 1 else None
+    rate = 1 / float(np.median(known)) if known else _FPS
+    return features, rate, robots.pop() if len(robots) == 1 else None, seconds

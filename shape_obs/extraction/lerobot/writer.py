@@ -60,6 +60,8 @@ class Episode:
         names: Names of the values of each column.
         frames: ``(T,)`` indices of the frames in the recorded episode.
         gap: Seconds between frames; NaN if unknown.
+        seconds: From the first frame to the last, by their stamps.
+        steps: Number of frames after the first one.
         left_out: Number of frames inside the episode that no step followed, as their successors were dropped.
         robot: Name of the robot; None if there is none.
     """
@@ -68,6 +70,8 @@ class Episode:
     names: Mapping[str, tuple[str, ...]]
     frames: npt.NDArray[np.int64]
     gap: float
+    seconds: float
+    steps: int
     left_out: int
     robot: str | None
 
@@ -126,6 +130,8 @@ def read_episode(table: ShapeTable) -> Episode:
         names,
         table["frame"][rows].astype(np.int64),
         float(np.median(gaps)) if len(gaps) else np.nan,
+        float(gaps[gaps > 0].sum()),
+        len(gaps),
         int(rows[-1] - rows[0] + 1 - len(rows)),
         robot and robot.name,
     )
@@ -185,12 +191,14 @@ class LeRobotSummary:
         frames: Number of rows.
         fps: Frames per second.
         features: Shape of each feature, by name.
+        task: What is done in them, in words.
     """
 
     episodes: int
     frames: int
     fps: float
     features: Mapping[str, tuple[int, ...]]
+    task: str
 
 
 class LeRobotWriter:
@@ -297,7 +305,7 @@ class LeRobotWriter:
         }
         self._write_json("meta/info.json", info)
         shapes = {name: tuple(feature["shape"]) for name, feature in self._features.items()}
-        return LeRobotSummary(len(self._episodes), self._rows, self._fps, shapes)
+        return LeRobotSummary(len(self._episodes), self._rows, self._fps, shapes, task)
 
     def _next_file(self, schema: Any) -> Any:
         if self._file is not None:

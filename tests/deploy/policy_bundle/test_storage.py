@@ -13,7 +13,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import yaml
-from bundles import cable, learner, rope, train
+from bundles import Twice, cable, learner, rope, train
+from gymnasium.wrappers import RepeatAction
 from installed import needs
 
 import shape_obs_envs  # noqa: F401
@@ -80,6 +81,18 @@ def test_without_normalisation_and_goals_from_a_plain_env(tmp_path):
         bundle.controller()
     save_bundle(model, env, tmp_path / "rope.policy", action_spec=NullRobot(1).action_spec)
     assert load_bundle(tmp_path / "rope.policy").controller().action_spec == NullRobot(1).action_spec
+
+
+@pytest.mark.parametrize(("around", "dt"), [(Twice, 0.2), (lambda env: RepeatAction(env, 3), 0.3)])
+@pytest.mark.filterwarnings("ignore:parts of the bundle are read only with trust")
+def test_the_duration_of_a_step_counts_what_wrappers_repeat(tmp_path, around, dt):
+    env = rope(10, around)
+    model = learner(env, "PPO", n_steps=4, batch_size=4)
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+    for each in (env, model.get_env()):
+        save_bundle(model, each, tmp_path / "a.policy")
+        assert load_bundle(tmp_path / "a.policy").dt == pytest.approx(dt)
 
 
 @pytest.mark.parametrize("trust", [False, True])

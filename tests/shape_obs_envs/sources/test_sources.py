@@ -12,6 +12,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium import spaces
+from gymnasium.wrappers import Autoreset, RepeatAction
 
 from shape_obs import CameraModel, Intrinsics
 from shape_obs.extrinsics import Extrinsics
@@ -218,6 +219,14 @@ def test_an_environment_steps_and_starts_again():
 def test_stamps_of_the_environment_win():
     with EnvSource(Clock(stamped=True)) as source:
         assert [source.read().stamp for _ in range(3)] == [101.0, 102.0, 103.0]
+
+
+def test_wrappers_that_reset_or_repeat_leave_episodes_and_time_right():
+    for wrap, stamps in ((Autoreset, 0.05), (lambda env: RepeatAction(env, 3), 0.15)):
+        with EnvSource(wrap(Clock())) as source:
+            seen = [(source.read().stamp, source.episode, source.transition.step) for _ in range(5)]  # type: ignore[union-attr]
+        steps = 4 if wrap is Autoreset else 2
+        assert seen == [(pytest.approx(i * stamps), i // steps, i % steps) for i in range(5)]
 
 
 def test_actions_are_random_by_seed_or_a_policys():

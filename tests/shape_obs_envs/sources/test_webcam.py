@@ -6,6 +6,8 @@ import json
 import subprocess
 import sys
 import time
+import warnings
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -99,6 +101,18 @@ def test_frames_are_rectified_with_the_file_of_the_calibration(tmp_path):
     expected = cv2.undistort(raw, lens.matrix, np.array(lens.coeffs))
     assert np.abs(frame.rgb.astype(int) - expected).mean() < 0.5
     assert np.abs(raw.astype(int) - expected).mean() > 2
+
+
+@pytest.mark.parametrize(("asked", "words"), [(60, ["has no 60 frames a second"]), (30, [])])
+def test_a_rate_that_the_camera_does_not_have_is_said(camera, monkeypatch, asked, words):
+    capture = cv2.VideoCapture(camera.url)
+    methods = {name: getattr(capture, name) for name in ("read", "grab", "retrieve", "release")}
+    monkeypatch.setattr(WebcamSource, "_opened", lambda _: SimpleNamespace(get=lambda _: FPS, **methods))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        with WebcamSource(0, fps=asked) as source:
+            source.read(3.0)
+    assert [words[0] in str(each.message) for each in caught] == [True] * len(words)
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from shape_obs.camera import Intrinsics
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
 from shape_obs.source import NotConnected, Source, StaleFrame
+from shape_obs_envs.arguments import count
 from shape_obs_envs.sources.realsense.devices import Device, RecordingFile, SoftwareCameras, UsbCamera
 from shape_obs_envs.sources.realsense.driver import librealsense, recording_suffix
 from shape_obs_envs.sources.realsense.frame_streams import FileStream, FrameStream, LiveStream
@@ -119,7 +120,8 @@ class RealSenseSource(Source):
             raise ValueError(f"model: expected a camera of the D400 series, such as 'd455' or 'd435', got {model!r}.")
         check_filters(filters)
         self.options = CameraOptions(exposure, gain, white_balance, laser_power, preset)
-        self._setup = Setup(width, height, fps, self.options, tuple(filters), max_gap)
+        mode = count("width", width, 1), count("height", height, 1), count("fps", fps, 1)
+        self._setup = Setup(*mode, self.options, tuple(filters), max_gap)
         self._device = _device(device, serial, recording, model.lower())
         self._record_to = None if record_to is None else Path(record_to)
         self._buffer, self._patience, self._recover_timeout = buffer, patience, recover_timeout

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice, pairwise
@@ -152,7 +153,8 @@ class RosbagSource(SequenceSource):
             lists the topics. By ``read``: the file is damaged, or no depth belongs to any colour image.
 
     Warns:
-        UserWarning: By ``connect``: depth is not aligned to colour and left out, or there are no intrinsics.
+        UserWarning: By ``connect``: depth is not aligned to colour and left out, or there are no intrinsics. At the
+            end: colour images without depth were left out.
     """
 
     kind: str = "rosbag"
@@ -179,7 +181,7 @@ class RosbagSource(SequenceSource):
         self._bag: Bag | None = None
         self._topics: Topics | None = None
         self._lens: Rectification | None = None
-        self._count, self._read, self._gaps = 0, 0, list[float]()
+        self._count, self._read, self._gap, self._gaps = 0, 0, 0.0, list[float]()
         self._pairs: Iterator[tuple[Image, Image | None]] = iter(())
 
     def __len__(self) -> int:
@@ -245,6 +247,13 @@ class RosbagSource(SequenceSource):
                 raise BadRecording(
                     f"{self.path}: no depth image is within {1000 * self._gap:.0f} ms of any colour image; the nearest "
                     f"is {min(self._gaps):.3f} s away. Their clocks differ; --set max_gap=SECONDS allows more."
+                )
+            left_out = sum(gap > self._gap for gap in self._gaps)
+            if left_out:
+                warnings.warn(
+                    f"{self.path}: {left_out} of {len(self._gaps)} colour images were left out: no depth image is "
+                    f"within {1000 * self._gap:.0f} ms of them; --set max_gap=SECONDS allows more.",
+                    stacklevel=2,
                 )
             raise EndOfSource(f"{self.path}: end of its {self._read} frames.")
         assert self._bag is not None

@@ -104,6 +104,7 @@ def test_a_missing_mode_on_usb_2_is_reported() -> None:
         ({"filters": ("decimation",)}, "choose a smaller stream"),
         ({"filters": (("temporal", {"sigma": 1}),)}, "has the parameters alpha, delta, persistence"),
         ({"buffer": 0}, "buffer: expected more than 0"),
+        ({"fps": 29.97}, "fps: expected a whole number"),
         ({"recording": "x.db3", "serial": "1"}, "instead of a camera"),
     ],
 )

@@ -93,7 +93,8 @@ def test_colour_is_paired_with_the_depth_of_its_moment(frames, tmp_path):
     write_bag(tmp_path / "bag", messages)
     with RosbagSource(tmp_path / "bag") as source:
         assert len(source) == 12
-        read = {frame.number: frame for frame in frames_of(source)}
+        with pytest.warns(UserWarning, match="2 of 12 colour images were left out"):
+            read = {frame.number: frame for frame in frames_of(source)}
     assert sorted(read) == [0, 1, 2, 4, 6, 7, 8, 9, 10, 11]
     for number, frame in read.items():
         assert np.array_equal(frame.depth, frames[number][1])
