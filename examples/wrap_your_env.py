@@ -27,6 +27,7 @@ class SwingingBand(gym.Env):
         }
     )
     action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
+    dt = 1 / 30  # seconds per step
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
