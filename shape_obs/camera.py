@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
+from shape_obs.foreign_cameras import read_fields
 from shape_obs.spec import Spec, SpecError, did_you_mean
 
 #: A camera in any form that ``as_camera_model`` reads.
@@ -331,11 +332,7 @@ def as_camera_model(camera: CameraLike, size: tuple[int, int] | None = None) -> 
 
 def as_intrinsics(camera: CameraLike, size: tuple[int, int] | None = None) -> Intrinsics:
     """Return the intrinsics that a camera without a pose describes, see ``as_camera_model``."""
-    if isinstance(camera, Intrinsics):
-        return camera
-    from shape_obs.foreign_cameras import read_intrinsics
-
-    return read_intrinsics(camera, size)
+    return camera if isinstance(camera, Intrinsics) else Intrinsics.from_dict(read_fields(camera, size))
 
 
 def _as_points(points: npt.ArrayLike, dimension: int, name: str) -> npt.NDArray[np.float64]:

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import Distortion, Intrinsics
+Fields = Mapping[str, Any]
 
 #: Names of K and D in ROS 2, ROS 1, ROS's calibration files, OpenCV's samples and Open3D.
 _MATRIX: Final = ("k", "K", "camera_matrix", "intrinsic_matrix")
@@ -17,8 +17,10 @@ _WIDTH, _HEIGHT = ("width", "image_width"), ("height", "image_height")
 #: ROS's models that are OpenCV's polynomial; the terms behind the fifth must be 0.
 _POLYNOMIAL: Final = ("", "plumb_bob", "rational_polynomial", "none", "pinhole")
 _TERMS: Final = (0, 4, 5, 8, 12, 14)  # numbers of coefficients in OpenCV
+#: Field of ``Intrinsics`` -> librealsense's.
+_NAMES: Final = {"width": "width", "height": "height", "fx": "fx", "fy": "fy", "cx": "ppx", "cy": "ppy"}
 #: librealsense's models; it projects the inverse and the modified one in the same way.
-_REALSENSE: Final[Mapping[str, Distortion]] = {
+_REALSENSE: Final = {
     "none": "pinhole",
     "brown_conrady": "brown_conrady",
     "inverse_brown_conrady": "inverse_brown_conrady",
@@ -30,8 +32,8 @@ _RECTIFY: Final = "rectify the image (cv2.undistort, cv2.fisheye, image_proc) an
 Get = Callable[[str], Any]
 
 
-def read_intrinsics(camera: Any, size: tuple[int, int] | None) -> Intrinsics:
-    """Return the intrinsics that an object of another library, a mapping or matrices describe.
+def read_fields(camera: Any, size: tuple[int, int] | None) -> Fields:
+    """Return the fields of ``Intrinsics`` that an object of another library, a mapping or matrices describe.
 
     Args:
         camera: See ``shape_obs.camera.as_camera_model``.
@@ -39,7 +41,7 @@ def read_intrinsics(camera: Any, size: tuple[int, int] | None) -> Intrinsics:
 
     Raises:
         TypeError: It describes no camera.
-        ValueError: A value is missing or out of range, or the lens model is not one of ``Intrinsics``.
+        ValueError: The size is missing, K is none, or the lens model is not one of ``Intrinsics``.
     """
     if callable(getattr(camera, "get_intrinsics", None)):  # rs.video_stream_profile
         camera = camera.get_intrinsics()
@@ -54,7 +56,7 @@ def read_intrinsics(camera: Any, size: tuple[int, int] | None) -> Intrinsics:
         model = str(get("distortion_model") or "")
         return _opencv(matrix, _first(get, _COEFFICIENTS), given, size, model)
     if isinstance(camera, Mapping):
-        return Intrinsics.from_dict(camera)
+        return camera
     if not (isinstance(camera, Sequence) or hasattr(camera, "__array__")) or isinstance(camera, (str, bytes)):
         raise TypeError(
             "camera: expected Intrinsics, a CameraModel, rs.intrinsics, a ROS CameraInfo or OpenCV's K, (K, D) or "
@@ -77,7 +79,7 @@ def _first(get: Get, names: Sequence[str]) -> Any:
     return value.get("data") if isinstance(value, Mapping) else value
 
 
-def _realsense(get: Get) -> Intrinsics:
+def _realsense(get: Get) -> Fields:
     name = str(get("model")).lower().replace(" ", "_").removeprefix("distortion.").removeprefix("rs2_distortion_")
     coefficients = tuple(float(value) for value in get("coeffs"))
     if not any(coefficients) and name in _REALSENSE:
@@ -86,9 +88,8 @@ def _realsense(get: Get) -> Intrinsics:
         raise ValueError(
             f"camera: the lens model is {name!r}, expected one of librealsense's {', '.join(_REALSENSE)}: {_RECTIFY}."
         )
-    size, model = (int(get("width")), int(get("height"))), _REALSENSE[name]
-    focal, centre = (float(get("fx")), float(get("fy"))), (float(get("ppx")), float(get("ppy")))
-    return Intrinsics(*size, *focal, *centre, model, coefficients if model != "pinhole" else 5 * (0.0,))
+    values = {ours: get(theirs) for ours, theirs in _NAMES.items()}
+    return {**values, "model": _REALSENSE[name], "coeffs": coefficients if name != "none" else 5 * (0.0,)}
 
 
 def _check_whole_image(get: Get) -> None:
@@ -101,8 +102,8 @@ def _check_whole_image(get: Get) -> None:
 
 def _opencv(
     matrix: Any, coefficients: Any, given: tuple[int, int] | None, size: tuple[int, int] | None, model: str
-) -> Intrinsics:
-    """Return the intrinsics of OpenCV's K and D.
+) -> Fields:
+    """Return the fields of OpenCV's K and D.
 
     Args:
         matrix: K, ``(3, 3)`` or its nine numbers row by row.
@@ -135,7 +136,8 @@ def _opencv(
             f"{height} pixels. Is it the K of another size? If not, give (K, D, (width, height))."
         )
     lens = tuple(np.pad(d[:5], (0, 5 - d[:5].size)).tolist())
-    return Intrinsics(width, height, fx, fy, cx, cy, "brown_conrady" if any(lens) else "pinhole", lens)
+    distortion = {"model": "brown_conrady" if any(lens) else "pinhole", "coeffs": lens}
+    return {"width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy, **distortion}
 
 
 def _numbers(values: Any, name: str) -> npt.NDArray[np.float64]:

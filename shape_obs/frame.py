@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import CameraModel, as_camera_model
-from shape_obs.image.layout import advice, apply, steps_to_depth, steps_to_rgb
 from shape_obs.utils.array_like import plain_array
+from shape_obs.utils.image_layout import advice, apply, steps_to_depth, steps_to_rgb
 
 MILLIMETRE: Final = 1e-3  # metres; the unit of depth in whole numbers
 FARTHEST: Final = 1e6  # metres; what lies beyond is garbage, and would overflow single precision

@@ -34,7 +34,7 @@ COEFFS = st.tuples(
 ).filter(unfolded)
 
 
-def lens(model: str, coeffs: Any) -> Intrinsics:
+def lens(model: Any, coeffs: Any) -> Intrinsics:
     """Return a lens, without the coefficients if it is a pinhole."""
     return Intrinsics(**D455, model=model, coeffs=coeffs if model != "pinhole" else (0,) * 5)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numba.core import event
@@ -97,14 +99,14 @@ def test_what_a_mask_hides_is_no_depth_no_object_and_no_point():
     shape = ShapeDetector().detect_mask(mask, depth, CAMERA).shapes[0]
     assert 0 < shape.valid.sum() < shape.visible.sum()
     found = ShapeDetector().detect_mask(np.ma.array(mask, mask=hidden)).shapes[0]
-    assert found.points2d[:, 0].min() > mask.shape[1] // 2 - 1
+    assert found.pixels[:, 0].min() > mask.shape[1] // 2 - 1
     cloud = np.random.default_rng(0).uniform(size=(2000, 3)) * (0.5, 0.02, 0.02) + (0, 0, 0.7)
     masked = np.ma.array(cloud, mask=np.repeat(cloud[:, :1] < 0.25, 3, axis=1))
-    assert np.nanmin(ShapeDetector().detect_cloud(masked).shapes[0].points3d[:, 0]) > 0.24
+    assert np.nanmin(np.asarray(ShapeDetector().detect_cloud(masked).shapes[0].points3d)[:, 0]) > 0.24
 
 
 def test_arrays_with_units_or_on_a_gpu_are_refused_by_name():
-    with_unit = type("Quantity", (), {"__array__": lambda self: np.zeros((4, 4)), "units": "millimetre"})()
+    with_unit: Any = type("Quantity", (), {"__array__": lambda self: np.zeros((4, 4)), "units": "millimetre"})()
     with pytest.raises(TypeError, match="depth: the array carries the unit millimetre"):
         Frame(depth=with_unit)
 
@@ -113,4 +115,4 @@ def test_arrays_with_units_or_on_a_gpu_are_refused_by_name():
             raise TypeError("can't convert cuda:0 device type tensor to numpy. Use Tensor.cpu()")
 
     with pytest.raises(TypeError, match=r"rgb: this Cuda cannot be read as a NumPy array: .*Tensor.cpu\(\)"):
-        Frame(rgb=Cuda())
+        Frame(rgb=Cuda())  # type: ignore[arg-type]

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from shape_obs.image.layout import Step, apply, shape_after, steps_to_depth, steps_to_rgb
 from shape_obs.spec import did_you_mean
 from shape_obs.utils.array_like import plain_array
+from shape_obs.utils.image_layout import Step, apply, shape_after, steps_to_depth, steps_to_rgb
 
 #: A key of an observation, or the keys on the way to an image in a Dict within a Dict: ``"images/rgb"`` as well.
 Key = str | Sequence[str | int]
@@ -122,9 +122,9 @@ class Images:
         if depth_key is not None:
             return cls(rgb, _depth(*_find(space, "depth_key", depth_key), rgb.size))
         around = _at(space, path[:-1])
-        beside = around.spaces.get("depth") if isinstance(around, spaces.Dict) else None
-        image = isinstance(beside, spaces.Box) and len(beside.shape) > 1
-        return cls(rgb, _depth((*path[:-1], "depth"), beside, rgb.size) if image else None)
+        neighbour = around.spaces.get("depth") if isinstance(around, spaces.Dict) else None
+        image = isinstance(neighbour, spaces.Box) and len(neighbour.shape) > 1
+        return cls(rgb, _depth((*path[:-1], "depth"), neighbour, rgb.size) if image else None)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -199,7 +199,7 @@ def _rgb(path: Path, space: spaces.Space[Any]) -> Image:
     """Return the colour image of a space.
 
     Raises:
-        ValueError: It is none; the message says how to make it one.
+        ValueError: It is none; the message gives the remedy.
     """
     shape = space.shape if isinstance(space, spaces.Box) else ()
     steps, factor = steps_to_rgb(shape), _factor(space) if isinstance(space, spaces.Box) else None

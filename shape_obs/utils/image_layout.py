@@ -59,7 +59,7 @@ def apply(image: npt.NDArray[Any], steps: Sequence[Step]) -> npt.NDArray[Any]:
 
 
 def advice(name: str, steps: Sequence[Step] | None) -> str:
-    """Return the end of an error message about a shape, which says how to make the expected one of it."""
+    """Return the end of an error message about a shape, with how to make the expected one of it."""
     text = name
     for step in steps or ():
         text = step.words.format(text)
