@@ -49,7 +49,8 @@ class Arguments:
     parquet: Annotated[Path | None, Option("FILE", "output")] = None
     """Write the shapes as a Parquet table (needs the extra 'parquet')."""
     video: Annotated[Path | None, Option("FILE", "output")] = None
-    """Write the frames with the shapes drawn over them: .mp4 (H.264 with the extra 'video'), .avi or .gif."""
+    """Write the frames with the shapes drawn over them: .mp4 (H.264 with the extra 'video'), .avi, or .gif,
+    which is at most 640 pixels wide and has at most 12.5 pictures per second."""
     rerun: Annotated[str | None, Option(TARGET, "output", check=check_target)] = None
     """Log frames, shapes and features to rerun: to FILE.rrd, or to a running viewer by its address. Without a value,
     open the viewer, or write a file next to the first output if there is no display (needs the extra 'rerun')."""

@@ -25,6 +25,7 @@ Features = Mapping[str, "Mapping[str, float] | npt.ArrayLike"]
 
 _JPEG_QUALITY: Final = 85
 _UNIX_TIME: Final = 1e9  # seconds; larger stamps are times since 1970, smaller ones since some start
+_LATEST: Final = 4e9  # seconds since 1970, in 2096; larger stamps are in another unit, which rerun refuses
 _FILL: Final = 0.3  # of a point of the depth cloud, so that points of the shape inside the object are seen through it
 _MASK: Final = ((0, "background", (0, 0, 0, 0)), (1, "object", (60, 200, 80, 90)))
 # Negative radii are in pixels of the screen.
@@ -131,7 +132,7 @@ class RerunLog:
     def _set_time(self, number: int | None, stamp: float | None) -> None:
         self.recording.set_time("frame", sequence=self._frames if number is None else number)
         self._frames += 1
-        if stamp is not None:
+        if stamp is not None and abs(stamp) < _LATEST:
             if stamp > _UNIX_TIME:
                 self.recording.set_time("stamp", timestamp=stamp)
             else:

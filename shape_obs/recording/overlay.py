@@ -13,6 +13,7 @@ from shape_obs.drawing import Image, draw_detection
 from shape_obs.recording.format import Moment
 from shape_obs.recording.video import Encoder, GifEncoder, open_encoder
 from shape_obs.shape import Detection
+from shape_obs.tracking.clock import LONGEST_PAUSE
 from shape_obs.utils.files import begin_file, finish_file, make_folder
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 #: Suffixes of overlay videos.
 SUFFIXES: Final = (".mp4", ".avi", ".gif")
 _ENOUGH: Final = 15  # frames from whose stamps the rate is estimated
-_LONGEST_PAUSE: Final = 2.0  # seconds; longer pauses between frames are cut
+_LONGEST_SHOWN: Final = 2.0  # seconds for which a picture is shown at most
 _UNLIKE: Final = 0.1  # of its duration, by which a video may differ from the recording without a word
 _READABLE: Final = 480  # pixels of height; smaller images are enlarged, so that numbers are legible
 
@@ -95,7 +96,7 @@ class OverlayVideo:
             if self._timed and abs(played - self._seconds) > _UNLIKE * self._seconds + 1 / self._fps:
                 warnings.warn(
                     f"{self.path} lasts {played:.3g} s, but the recording {self._seconds:.3g} s: pauses of more than "
-                    f"{_LONGEST_PAUSE:g} s are cut, and faster frames than the first are shown one by one.",
+                    f"{_LONGEST_SHOWN:g} s are cut, and faster frames than the first are shown one by one.",
                     stacklevel=2,
                 )
 
@@ -124,9 +125,10 @@ class OverlayVideo:
         if self._encoder is None:
             self._encoder = self._open()
         usual = 1 / self._fps
-        gap = gap if gap > 0 else usual if self._shown else 0.0
+        if not 0 < gap <= LONGEST_PAUSE:  # the clock failed, or was set
+            gap = usual if self._shown else 0.0
         self._seconds += gap
-        self._due += min(gap, max(_LONGEST_PAUSE, 2 * usual)) * self._fps
+        self._due += min(gap, _LONGEST_SHOWN) * self._fps
         while self._timed and self._last is not None and self._due - self._shown > 1 - 1e-6:
             self._encoder.add(self._last)
             self._shown += 1
@@ -137,8 +139,8 @@ class OverlayVideo:
     def _open(self) -> Encoder:
         assert self._size is not None
         if not self._fps:
-            gap = float(np.median([gap for _, gap in self._early[1:]] or [0.0]))
-            self._fps = 1 / gap if gap > 1e-3 else 30.0
+            gap = float(np.median([gap for _, gap in self._early if 0 < gap <= LONGEST_PAUSE] or [0.0]))
+            self._fps = 1 / min(gap, _LONGEST_SHOWN) if gap > 1e-3 else 30.0
         self._temporary = begin_file(self.path)
         if self.path.suffix == ".gif":
             return GifEncoder(self._temporary, self._size, self._fps)

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 _LEAST_STEP: Final = 1e-6  # seconds; a clock that ticks more slowly stands still
-_LONGEST_PAUSE: Final = 86_400.0  # seconds, a day: no stream pauses for so long, but clocks are set by years
+LONGEST_PAUSE: Final = 86_400.0  # seconds, a day: no stream pauses for so long, but clocks are set by years
 _SAMPLE: Final = 5  # steps whose median shows the unit
 #: The least step in seconds, as stamps are read, from which it is likelier that they are in another unit: what is
 #: filmed every 4 s cannot be tracked, and 4 ms are 250 Hz. A step of 1 is one frame a second.
@@ -76,7 +76,7 @@ class Clock:
 
     def _checked(self, shown: float) -> float:
         """Return the seconds that passed where the stamp shows so many."""
-        if _LEAST_STEP <= shown <= _LONGEST_PAUSE:
+        if _LEAST_STEP <= shown <= LONGEST_PAUSE:
             return shown
         what = "stands still" if abs(shown) < _LEAST_STEP else "jumps" if shown > 0 else "runs back"
         self.warning = f"the stamp {what}: dt is taken as the time since the last frame"

@@ -44,6 +44,17 @@ def stream(tmp_path, rr):
     return recording, tmp_path / "log.rrd"
 
 
+def test_a_stamp_in_nanoseconds_is_left_out_of_the_timeline(stream):
+    recording, path = stream
+    rgb, depth = frame()
+    detection = ShapeDetector([Centerline(n=12, name="rope")], BLUE).detect(
+        rgb, depth, LENS, stamp=1_700_000_000 * 10**9
+    )
+    shape_obs.log_rerun(detection, recording=recording, number=7)
+    recording.disconnect()
+    assert list(read_rrd(path, *QUALITY)) == [7]
+
+
 def test_points_are_those_of_the_detection(stream):
     recording, path = stream
     detector = ShapeDetector([Centerline(n=12, name="rope")], BLUE)
