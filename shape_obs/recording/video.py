@@ -115,7 +115,7 @@ class H264Encoder:
         self._odd = size[1] % 2, size[0] % 2
         width, height = size[0] + size[0] % 2, size[1] + size[1] % 2
         command = [ffmpeg, "-y", "-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
-        command += ["-s", f"{width}x{height}", "-r", str(Fraction(fps).limit_denominator(10_000)), "-i", "-"]
+        command += ["-s", f"{width}x{height}", "-r", str(Fraction(fps).limit_denominator(1_000_000)), "-i", "-"]
         command += ["-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", str(_QUALITY), *options]
         command += ["-movflags", "+faststart", "-f", "mp4", str(file)]
         self._said = tempfile.TemporaryFile()  # noqa: SIM115 - open as long as the process

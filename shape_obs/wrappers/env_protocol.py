@@ -171,7 +171,7 @@ class EnvClock:
     def stamp(self, info: Mapping[str, Any]) -> Any:
         """Return the stamp in ``info``, otherwise the time that was measured, in seconds."""
         stamp = info.get("stamp")
-        if stamp is None and self._unknown:
+        if stamp is None and self._unknown and self.now:
             self._unknown = False
             warnings.warn(
                 f"{self._env.unwrapped}: it is unknown how long a step is, so 1/30 s is taken: publish dt (seconds), "

@@ -18,6 +18,7 @@ from shape_obs.extraction.task import Task
 from shape_obs.recording import RobotInfo, ShapeTable
 from shape_obs.recording.parquet import need_pyarrow
 from shape_obs.spec import to_plain
+from shape_obs.tracking.clock import LONGEST_PAUSE
 from shape_obs.utils.files import write_text
 
 Column = npt.NDArray[Any]
@@ -61,7 +62,7 @@ class Episode:
         frames: ``(T,)`` indices of the frames in the recorded episode.
         gap: Seconds between frames; NaN if unknown.
         seconds: From the first frame to the last, by their stamps.
-        steps: Number of frames after the first one.
+        steps: Number of frames after the first one whose stamps show the time since the last.
         left_out: Number of frames inside the episode that no step followed, as their successors were dropped.
         robot: Name of the robot; None if there is none.
     """
@@ -125,12 +126,13 @@ def read_episode(table: ShapeTable) -> Episode:
     columns[MEASURED] = np.concatenate([table[f"{block}/measured"] for block in blocks], axis=1)
     names[MEASURED] = names[SHAPES]
     gaps = np.diff(table["stamp"])
+    gaps = gaps[(gaps > 0) & (gaps <= LONGEST_PAUSE)]  # others are of a clock that failed or was set
     return Episode(
         {name: _flat(column[rows]) for name, column in columns.items()},
         names,
         table["frame"][rows].astype(np.int64),
         float(np.median(gaps)) if len(gaps) else np.nan,
-        float(gaps[gaps > 0].sum()),
+        float(gaps.sum()),
         len(gaps),
         int(rows[-1] - rows[0] + 1 - len(rows)),
         robot and robot.name,
