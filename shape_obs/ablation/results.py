@@ -19,7 +19,7 @@ from shape_obs.ablation.executors import PROGRESS, Outcome
 from shape_obs.ablation.scores import COLUMNS, SCORES, Row, Score, cells, read_scores
 from shape_obs.ablation.study import Study
 from shape_obs.utils.documents import read_json
-from shape_obs.utils.files import make_folder, write_whole
+from shape_obs.utils.files import listing, make_folder, write_whole
 
 RESULTS: Final = "results.csv"
 RUN: Final = "run.json"
@@ -52,7 +52,7 @@ class RunFolder:
             FileExistsError: It holds something else.
         """
         if self.path.is_dir():
-            names = {path.name for path in self.path.iterdir()}
+            names = {path.name for path in listing(self.path)}
             if names and not names & {PROGRESS, ERROR}:
                 raise FileExistsError(f"{self.path} holds no run of a study: choose another folder, or move it away.")
             shutil.rmtree(self.path)

@@ -17,6 +17,7 @@ from shape_obs.cli.outputs import Overwrite
 from shape_obs.cli.parsing import Option, parse, wrong_usage
 from shape_obs.utils.documents import parse_yaml
 from shape_obs.utils.errors import UsageError
+from shape_obs.utils.files import is_leftover, listing
 
 if TYPE_CHECKING:
     from shape_obs.extraction import Extraction, Outcome, Task
@@ -122,7 +123,7 @@ def recordings(texts: Sequence[str]) -> list[str]:
     found: list[str] = []
     for text in texts:
         if has_magic(text) and not Path(text).exists():
-            paths = [Path(name) for name in sorted(glob(text, recursive=True))]
+            paths = [path for path in map(Path, sorted(glob(text, recursive=True))) if not is_leftover(path.name)]
         else:
             paths = [Path(text)]
             if not paths[0].exists():
@@ -178,7 +179,7 @@ def _inside(folder: Path) -> Iterator[Path]:
     from shape_obs_envs.sources.sequence import PHOTOS
     from shape_obs_envs.sources.video import VIDEOS
 
-    inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+    inside = listing(folder)
     names, suffixes = {path.name for path in inside}, {path.suffix.lower() for path in inside if path.is_file()}
     if names & {CAMERA_FILE, FRAMES_FILE, ROSBAG2} or suffixes & set(PHOTOS):
         yield folder
@@ -226,7 +227,7 @@ def prepare(args: Any, config: dict[str, Any], tasks: Sequence[Task]) -> None:
         need_encoder()
     if not args.overwrite:
         check_lerobot_folder(args.out, args.out / PARTS)
-    if args.out.is_dir() and any(args.out.iterdir()) and not (args.out / PARTS / DATASET_FILE).is_file():
+    if args.out.is_dir() and listing(args.out) and not (args.out / PARTS / DATASET_FILE).is_file():
         raise ValueError(f"{args.out}: the folder is not empty, and holds no extraction: choose another --out.")
     if not config.get("features"):
         config["features"] = [{"kind": _shape_feature(tasks)}]

@@ -12,7 +12,7 @@ from shape_obs.extraction.extraction import Extraction, work
 from shape_obs.extraction.task import Outcome, Task, stem
 from shape_obs.recording.table import check_table_path
 from shape_obs.utils.documents import read_json
-from shape_obs.utils.files import make_folder, write_text
+from shape_obs.utils.files import listing, make_folder, write_text
 from shape_obs.utils.ray_cluster import RayCluster
 
 Engine = Literal["local", "ray"]
@@ -82,7 +82,7 @@ def _check_folder(folder: Path, made_with: Mapping[str, Any]) -> None:
     """Record what the dataset is made with, or refuse a dataset that was made with something else."""
     path = make_folder(folder) / DATASET_FILE
     if not path.exists():
-        if any(not name.name.startswith(".") for name in folder.iterdir()):
+        if listing(folder):
             raise ValueError(f"{folder}: the folder is not empty, and holds no extraction: choose another --out.")
         _write(path, dict(made_with))
         return

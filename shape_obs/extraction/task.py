@@ -15,6 +15,7 @@ from shape_obs.recording import Recording
 from shape_obs.recording.format import CAMERA_FILE, FRAMES_FILE
 from shape_obs.source import BadRecording
 from shape_obs.spec import Spec
+from shape_obs.utils.files import listing
 
 _CHUNK: Final = 1 << 20  # bytes
 
@@ -55,7 +56,7 @@ class Task(Spec):
                     digest.update(line)
             return digest.hexdigest()
         folder = path.is_dir()
-        for file in sorted(path.iterdir()) if folder else [path]:
+        for file in listing(path) if folder else [path]:
             if folder:
                 digest.update(file.name.encode() + b"\0")
             if file.is_file():

@@ -29,7 +29,7 @@ from shape_obs.recording.format import (
 from shape_obs.recording.images import store
 from shape_obs.source import RGBDSource
 from shape_obs.utils.errors import run_last
-from shape_obs.utils.files import make_folder, write_text
+from shape_obs.utils.files import listing, make_folder, write_text
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -196,7 +196,7 @@ def check_new_folder(path: Path) -> None:
         OSError: The folder cannot be made or written to.
     """
     existed = path.exists()
-    if any(make_folder(path).iterdir()):
+    if listing(make_folder(path)):
         raise FileExistsError(f"{path}: the folder is not empty; a recording needs an empty folder.")
     if not existed:  # so that a later error leaves nothing behind
         path.rmdir()

@@ -8,6 +8,31 @@ import secrets
 import stat
 from collections.abc import Callable
 from pathlib import Path
+from typing import Final
+
+# What Windows, macOS, Linux, network storage and archivers leave in folders, besides names that start with a dot.
+_LEFTOVERS: Final = {
+    "thumbs.db", "ehthumbs.db", "desktop.ini", "$recycle.bin", "system volume information", "icon\r", "__macosx",
+    "network trash folder", "temporary items", "lost+found", "@eadir", "#recycle",
+}  # fmt: skip
+
+
+def listing(folder: Path) -> list[Path]:
+    """Return the sorted content of a folder without hidden files and what systems and editors leave there.
+
+    These are names that start with a dot (``._0.png``, ``.DS_Store``, temporary files), ``Thumbs.db``, ``desktop.ini``,
+    ``__MACOSX`` and the like, and backups of editors (``0.png~``, ``#0.png#``, ``0.bak``).
+
+    Raises:
+        OSError: The folder cannot be read.
+    """
+    return sorted(path for path in folder.iterdir() if not is_leftover(path.name))
+
+
+def is_leftover(name: str) -> bool:
+    """Return whether a file or folder of this name is ignored; see ``listing``."""
+    backup = name.endswith(("~", ".bak")) or (name.startswith("#") and name.endswith("#"))
+    return name.startswith(".") or backup or name.lower() in _LEFTOVERS
 
 
 def make_folder(path: Path) -> Path:

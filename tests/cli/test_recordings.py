@@ -175,3 +175,20 @@ def test_verify_names_all_that_is_damaged(recorded, tmp_path, run):
     assert "2 of 12 frames are damaged" in err
     assert "rgb/000001.png" in err
     assert "depth/000005.png" in err
+
+
+def test_what_systems_and_editors_leave_in_folders_is_skipped(place, tmp_path, run, monkeypatch):
+    pytest.importorskip("pyarrow")
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(place / "photos", "all/photos")
+    extract = ("extract", "a*", "--config", place / "pixels.yaml", "-o", "shapes", "--json")
+    assert json.loads(run(*extract)[1])["done"] == 1
+    for folder in ("all", "all/photos", "new"):
+        (tmp_path / folder / "__MACOSX" / "photos").mkdir(parents=True)
+        names = "._0.png .DS_Store Thumbs.db desktop.ini 0.png~ .0.png.swp #1.png# Icon\r .a.avi .b.mcap x.bak"
+        for name in (*names.split(" "), "__MACOSX/photos/._0.png", "__MACOSX/0.png"):
+            (tmp_path / folder / name).write_bytes(b"no picture")
+    kept = json.loads(run(*extract)[1])
+    assert (kept["kept"], kept["done"], kept["failed"]) == (1, 0, []), "what was left changes no recording"
+    code, out, err = run("record", "--source", "all/photos", "-o", "new", "--json")
+    assert (code, json.loads(out or "{}").get("frames")) == (0, 3), err

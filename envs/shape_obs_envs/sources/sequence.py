@@ -20,6 +20,7 @@ from shape_obs.recording import Recording, RobotInfo, Transition
 from shape_obs.recording.format import CAMERA_FILE, FRAMES_FILE
 from shape_obs.source import BadRecording, EndOfSource, NotConnected, Source
 from shape_obs.utils.arrays import read_image
+from shape_obs.utils.files import listing
 
 #: Suffixes of photos.
 PHOTOS: Final = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
@@ -175,10 +176,11 @@ class FolderSource(SequenceSource):
             if self._frames.warning:
                 warnings.warn(self._frames.warning, stacklevel=2)
         else:
-            photos = (path for path in self.path.iterdir() if path.suffix.lower() in PHOTOS and path.is_file())
+            inside = listing(self.path)
+            photos = (path for path in inside if path.suffix.lower() in PHOTOS and path.is_file())
             self._frames = sorted(photos, key=_natural_order)
             if not self._frames:
-                bags = any(path.suffix in (".mcap", ".db3") for path in self.path.iterdir())
+                bags = any(path.suffix in (".mcap", ".db3") for path in inside)
                 hint = " For a rosbag2 without its metadata.yaml run `ros2 bag reindex`." if bags else ""
                 raise BadRecording(
                     f"{self.path}: expected a recording ({CAMERA_FILE}, {FRAMES_FILE}, rgb/) or images "
