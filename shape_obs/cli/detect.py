@@ -158,7 +158,7 @@ def _with_progress(images: tuple[Path, ...]) -> Iterable[Path]:
 def _detect(detector: ShapeDetector, args: Arguments, i: int) -> dict[str, Any]:
     """Detect the shape in one image; an error becomes part of the result, so that the other images are processed."""
     from shape_obs.camera import Intrinsics
-    from shape_obs.drawing import draw_detection
+    from shape_obs.drawing import draw_detection, legible_scale
     from shape_obs.utils.arrays import read_depth, read_image, write_image
 
     path = args.images[i]
@@ -174,7 +174,7 @@ def _detect(detector: ShapeDetector, args: Arguments, i: int) -> dict[str, Any]:
     except (ValueError, TypeError, OSError) as error:
         return {"ok": False, "error": str(error)}
     overlay = _overlay(args, path)
-    write_image(overlay, draw_detection(rgb, detection))
+    write_image(overlay, draw_detection(rgb, detection, scale=legible_scale(rgb)))
     note_output(overlay)
     return {**detection.to_dict(), "overlay": str(overlay)}
 

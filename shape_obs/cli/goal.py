@@ -44,7 +44,7 @@ def main(argv: Sequence[str]) -> int:
         raise UsageError(NEEDS_CONFIG)
     picture = args.out.with_suffix(".png")
     check_outputs(args, args.out, picture)
-    from shape_obs.drawing import draw_detection
+    from shape_obs.drawing import draw_detection, legible_scale
     from shape_obs.utils.arrays import write_image
 
     env = make_env(args, None if args.robot is None else _dry_robot(args))
@@ -53,7 +53,7 @@ def main(argv: Sequence[str]) -> int:
         target, detection = _first_complete(env, args)
         rgb = env.get_wrapper_attr("frame").rgb
     target.save(args.out)
-    write_image(picture, draw_detection(rgb, detection))
+    write_image(picture, draw_detection(rgb, detection, scale=legible_scale(rgb)))
     if args.json:
         print(json.dumps(target.to_dict()))
     else:

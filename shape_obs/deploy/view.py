@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from shape_obs.deploy.loop import Step
-from shape_obs.drawing import GOAL, draw_detection
+from shape_obs.drawing import GOAL, draw_detection, legible_scale
 from shape_obs.drawing.rerun_log import RerunLog
 from shape_obs.utils.errors import install_hint
 from shape_obs.utils.threads import Newest
@@ -64,7 +64,7 @@ class LiveView:
             return
         targets = getattr(self._env, "targets", ())
         under = [(target.points2d, GOAL) for target in targets if target.points2d is not None]
-        self._image.image = draw_detection(frame.rgb, step.detection, under=under)
+        self._image.image = draw_detection(frame.rgb, step.detection, scale=legible_scale(frame.rgb), under=under)
 
 
 def _free_port() -> int:

@@ -13,6 +13,8 @@ from shape_obs.drawing.pictures import draw_over as draw_over
 from shape_obs.drawing.pictures import draw_point as draw_point
 from shape_obs.drawing.pictures import draw_text as draw_text
 from shape_obs.drawing.pictures import enlarged as enlarged
+from shape_obs.drawing.pictures import legible_scale as legible_scale
+from shape_obs.drawing.pictures import mark_size as mark_size
 from shape_obs.drawing.pictures import point_colours as point_colours
 from shape_obs.drawing.pictures import slot_colours as slot_colours
 from shape_obs.drawing.pictures import text_width as text_width

@@ -34,6 +34,9 @@ _HALF: Final = 12.0  # pixels: half the stroke of the upper strand of a crossing
 _ANTIALIASED: Final = cv2.LINE_AA
 _SHIFT: Final = 4
 _FONT: Final = 0.4  # OpenCV's scale of letters, about 12 pixels high
+_PIXELS: Final = 640 * 480  # of an image on which marks have size 1
+_SMALL: Final = 240  # pixels of height, below which numbers do not fit between the points
+_LEGIBLE: Final = 480  # pixels of height to which such an image is enlarged
 
 
 def draw_detection(
@@ -41,7 +44,7 @@ def draw_detection(
     detection: Detection,
     *,
     scale: int = 1,
-    size: float = 1.0,
+    size: float | None = None,
     under: Sequence[tuple[Array, Colour]] = (),
 ) -> Image:
     """Draw every shape over a copy of the image.
@@ -50,7 +53,8 @@ def draw_detection(
         rgb: ``(H, W, 3)`` uint8, RGB.
         detection: What was found in it.
         scale: Enlarges the picture first, so that numbers fit on small images.
-        size: Enlarges points, lines and text, for pictures that are shown smaller than they are.
+        size: Size of points, lines and text: 1 for points 10 pixels wide and letters 12 pixels high. Default: 1 up to
+            640 x 480 pixels, and in proportion to the sides of larger images.
         under: Curves of ``(K, 2)`` pixels with their colours, drawn below the shapes: goals, truth.
 
     Returns:
@@ -61,11 +65,22 @@ def draw_detection(
         which the upper strand is unknown. Text says why a shape was not found, how many objects have no slot, that a
         numbering begins again, and what is wrong with the stamp.
     """
+    size = mark_size(rgb) if size is None else size
     picture = rgb.repeat(scale, axis=0).repeat(scale, axis=1)
     for curve, colour in under:
         draw_curve(picture, enlarged(curve, scale), colour, thickness=round(4 * size))
     draw_over(picture, detection, scale, size)
     return picture
+
+
+def mark_size(image: Image) -> float:
+    """Return the ``size`` of marks that look as on 640 x 480 pixels when the image is shown as large; at least 1."""
+    return max(1.0, (image.shape[0] * image.shape[1] / _PIXELS) ** 0.5)
+
+
+def legible_scale(image: Image) -> int:
+    """Return the ``scale`` that a small image needs, so that the numbers of its points can be read."""
+    return 1 if image.shape[0] >= _SMALL else round(_LEGIBLE / image.shape[0])
 
 
 def draw_over(picture: Image, detection: Detection, scale: float, size: float = 1.0) -> None:
@@ -83,15 +98,18 @@ def draw_over(picture: Image, detection: Detection, scale: float, size: float = 
         if shape.name in slots and np.isfinite(shape.pixels[0]).all():
             u, v = enlarged(shape.pixels[:1], scale)[0].tolist()
             width = text_width(shape.name, size)
-            place = min(max(round(u) - width // 2, 2), picture.shape[1] - width - 2), max(round(v - 14 * size), 12)
+            place = (
+                min(max(round(u) - width // 2, 2), picture.shape[1] - width - 2),
+                max(round(v - 14 * size), round(12 * size)),
+            )
             draw_text(picture, shape.name, place, size=size)
         if shape.reason:
             lines.append(f"{shape.name}: {shape.reason}")
         elif shape.new and shape.track_id > 1:
             lines.append(f"{shape.name}: the numbering begins again, track {shape.track_id}")
-    rows = [row for line in lines for row in wrapped(line, picture.shape[1] - 16, size)]
+    rows = [row for line in lines for row in wrapped(line, picture.shape[1] - round(16 * size), size)]
     for k, row in enumerate(rows):
-        draw_text(picture, row, (8, round((20 + 18 * k) * size)), HIDDEN, size=size)
+        draw_text(picture, row, (round(8 * size), round((20 + 18 * k) * size)), HIDDEN, size=size)
 
 
 def slot_colours(detection: Detection) -> dict[str, Colour]:
@@ -212,13 +230,13 @@ def _fixed(point: Array) -> tuple[int, int]:
 
 def _number(picture: Image, text: str, centre: Array, size: float) -> None:
     if np.isfinite(centre).all():
-        (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, _FONT * size, 1)
+        (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, _FONT * size, _stroke(size))
         draw_text(picture, text, (round(centre[0] - width / 2), round(centre[1] + height / 2)), size=size)
 
 
 def text_width(text: str, size: float = 1.0) -> int:
     """Return the width in pixels of a text that ``draw_text`` draws."""
-    return int(cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, _FONT * size, 1)[0][0])
+    return int(cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, _FONT * size, _stroke(size))[0][0])
 
 
 def wrapped(text: str, width: int, size: float = 1.0) -> list[str]:
@@ -234,7 +252,13 @@ def wrapped(text: str, width: int, size: float = 1.0) -> list[str]:
 
 def draw_text(picture: Image, text: str, origin: tuple[int, int], colour: Colour = _INK, *, size: float = 1.0) -> None:
     """Draw small text with a halo in place, its lower left corner at ``origin`` = (u, v)."""
+    stroke = _stroke(size)
     # Shifted copies, not a bolder one: OpenCV 5 spaces bold letters wider.
     for du, dv, ink in ((-1, 0, PAPER), (1, 0, PAPER), (0, -1, PAPER), (0, 1, PAPER), (0, 0, colour)):
-        place = (origin[0] + du, origin[1] + dv)
-        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, _FONT * size, ink, 1, _ANTIALIASED)
+        place = (origin[0] + du * stroke, origin[1] + dv * stroke)
+        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, _FONT * size, ink, stroke, _ANTIALIASED)
+
+
+def _stroke(size: float) -> int:
+    """Return the thickness of letters and of their halo, in pixels."""
+    return max(1, round(size / 2))

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.configurations.base import Configuration, Scene
-from shape_obs.drawing import Image, draw_curve, draw_over, draw_text, enlarged, wrapped
+from shape_obs.drawing import Image, draw_curve, draw_over, draw_text, enlarged, mark_size, wrapped
 from shape_obs.geometry.observed import Samples
 from shape_obs.image.region import Region
 from shape_obs.image.roi import ROI, Whole
@@ -44,14 +44,14 @@ def overlay(result: Result) -> Image:
     if scale != 1:
         size = (round(picture.shape[1] * scale), round(picture.shape[0] * scale))
         picture, mask = _resized(picture, size, cv2.INTER_NEAREST), _resized(mask, size)
-    drawn = picture.copy()
+    drawn, marks = picture.copy(), mark_size(picture)
     inside = mask > 0
     drawn[inside] = (0.55 * drawn[inside] + 0.45 * np.array(_TINT)).astype(np.uint8)
-    cv2.drawContours(drawn, cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0], -1, _TINT, 1)
+    cv2.drawContours(drawn, cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0], -1, _TINT, round(marks))
     if result.roi is not None and not isinstance(result.roi, Whole):
         drawn = _shaded(drawn, result.roi, result.size, darker=2)
     if result.detection is not None:
-        draw_over(drawn, result.detection, scale)
+        draw_over(drawn, result.detection, scale, marks)
     return drawn
 
 

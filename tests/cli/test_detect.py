@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from shape_obs.drawing import GOAL, SLOTS, VALID
+from shape_obs import HSVRange, ShapeDetector
+from shape_obs.drawing import GOAL, SLOTS, VALID, draw_detection
 
 BLUE = (30, 60, 200)
 HSV = ["--hsv", "100", "100", "50", "130", "255", "255"]
@@ -198,6 +199,25 @@ def test_all_ropes_are_found_drawn_in_their_own_colours_with_their_crossing(thre
     (crossing,) = result["crossings"]
     assert np.allclose(crossing["pixel"], (153.1, 116.6), atol=2)
     assert np.allclose(ends[crossing["slots"][crossing["above"]]], sorted(ROPES[1]), atol=8)
+
+
+@pytest.mark.parametrize("size", [(64, 48), (640, 480), (1200, 1600)])
+def test_marks_have_the_same_share_of_every_picture(size, tmp_path, run):
+    width, height = size
+    t = np.linspace(0, 1, 200)
+    curve = np.stack([width * (0.15 + 0.7 * t), height * (0.5 + 0.2 * np.sin(6 * t))], axis=1)
+    rgb = np.full((height, width, 3), (190, 185, 180), np.uint8)
+    cv2.polylines(rgb, [np.rint(curve * 16).astype(np.int32)], False, BLUE, max(3, round(width * 0.03)), cv2.LINE_AA, 4)
+    photo = save(tmp_path / "p.png", rgb)
+    code, out, err = run("detect", photo, *HSV, "--out", tmp_path / "o")
+    assert code == 0, err
+    picture = np.asarray(Image.open(json.loads(out)["overlay"])).astype(int)
+    assert picture.shape == ((480, 640, 3) if width < 640 else rgb.shape)
+    share = (np.abs(picture - VALID).max(axis=2) < 12).mean()
+    assert share == pytest.approx(20 * np.pi * 4**2 / (640 * 480), rel=0.3)
+    if width == 640:
+        detection = ShapeDetector(["centerline"], segmentation=HSVRange((100, 100, 50), (130, 255, 255))).detect(rgb)
+        np.testing.assert_array_equal(picture, draw_detection(rgb, detection, size=1.0))
 
 
 def test_demo_runs_without_gl_and_writes_its_pictures(tmp_path, run):

@@ -21,7 +21,7 @@ def test_the_page_draws_the_goals_of_all_shapes_and_writes_nothing_to_stdout(mon
     drawn: list[Any] = []
     shown = threading.Event()
 
-    def draw(rgb: Any, detection: Any, *, under: Any) -> Any:
+    def draw(rgb: Any, detection: Any, *, scale: int, under: Any) -> Any:
         drawn.append(under)
         shown.set()
         return rgb
