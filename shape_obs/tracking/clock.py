@@ -44,13 +44,13 @@ class Clock:
     def __init__(self, dt: float = 1 / 30) -> None:
         self._dt = dt
         self._warned = False
+        self._steps: list[float] = []  # the first ones, also from earlier tracks
         self.reset()
 
     def reset(self) -> None:
         """Start again with the next frame."""
         self._started = False
         self._still = 0  # frames since the stamp last went on
-        self._steps: list[float] = []
         self.stamp, self.now, self.warning = 0.0, 0.0, ""
 
     def tick(self, stamp: float | None) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections import deque
 from collections.abc import Callable
 from typing import Any, Final
@@ -21,6 +22,7 @@ _FOCAL_480: Final = 386.0
 _NEXT: Final = 1e-6
 #: Number of frames used to estimate the clock offset: ten seconds, in which clocks drift by less than a millisecond.
 _WINDOW: Final = 300
+_COMPARED: Final = 2.0  # seconds after which the camera's clock is compared with this machine's
 
 
 def open_frame_source(
@@ -94,6 +96,8 @@ class FrameReader:
         self._now = now
         self._transport: deque[float] = deque(maxlen=_WINDOW)
         self._clock = (0.0, now())  # stamp of the newest frame, and when it was read
+        self._first: tuple[float, float] | None = None  # stamp and arrival of the first frame
+        self._compared = False
 
     def exposed(self, frame: Frame, now: float) -> float:
         """Return the earliest time at which the exposure of a frame may have begun, ``time.monotonic()`` in seconds.
@@ -103,8 +107,26 @@ class FrameReader:
         """
         if not self.source.live or frame.received is None:
             return now
+        self._compare_clocks(frame)
         arrived = frame.received - self.lag(frame)
         return arrived if frame.exposed is None else min(frame.exposed, arrived)
+
+    def _compare_clocks(self, frame: Frame) -> None:
+        """Warn if stamps do not advance by seconds, since a late frame cannot be recognised by them."""
+        if frame.stamp is None or frame.received is None or self._compared:
+            return
+        if self._first is None:
+            self._first = frame.stamp, frame.received
+        passed = frame.received - self._first[1]
+        if passed < _COMPARED:
+            return
+        self._compared, rate = True, (frame.stamp - self._first[0]) / passed
+        if rate and not 0.5 < rate < 2:
+            warnings.warn(
+                f"{self.source.name}: its stamps advance by {rate:.3g} in a second: give them in seconds, since "
+                "otherwise a late frame cannot be recognised.",
+                stacklevel=4,
+            )
 
     def connect(self) -> None:
         """Connect the source and reset the clock offset.
@@ -114,6 +136,7 @@ class FrameReader:
             ValueError: It has depth, but no intrinsics.
         """
         self._transport.clear()
+        self._first, self._compared = None, False
         self.source.connect()
         if self._depth and self.source.camera is None:
             raise ValueError(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from fake_camera import FakeCamera
@@ -69,6 +71,16 @@ def test_the_frame_of_a_moment_counts_its_lag(reader, camera, clock):
     assert reader.frame_of(moment + 0.1).received == pytest.approx(moment + 0.4)
     camera.delay = 9.0
     assert reader.frame_of(moment + 1.0) is not None, "all are late: the newest, and its lag shows it"
+
+
+@pytest.mark.parametrize(("rate", "words"), [(1.0, []), (1e3, ["by 1e+03"]), (30.0, ["by 30"]), (1e-3, ["by 0.001"])])
+def test_stamps_that_do_not_run_like_this_machines_clock_are_reported_once(reader, rate, words):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for k in range(40):
+            reader.exposed(Frame(stamp=5.0 + rate * k / 10, received=k / 10), k / 10)
+    assert [word for each in caught for word in words if word in str(each.message)] == words
+    assert len(caught) == len(words)
 
 
 @pytest.mark.parametrize("received", [-99.0, None])
