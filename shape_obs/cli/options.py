@@ -62,15 +62,21 @@ def read_settings(settings: Sequence[str], option: str = "--set") -> dict[str, A
         option: The name of the option, for error messages.
 
     Raises:
-        UsageError: A text is not ``KEY=VALUE``, or its value is not YAML.
+        UsageError: A text is not ``KEY=VALUE``, is given twice, or its value is empty or not YAML.
     """
     values: dict[str, Any] = {}
     for setting in settings:
         name, equals, value = setting.partition("=")
         if not name.isidentifier() or not equals:
             raise UsageError(f"{option}: expected KEY=VALUE, such as exposure=0.01, got {setting!r}.")
+        if name in values:
+            raise UsageError(f"{option}: {name} is given twice, as {values[name]!r} and {value!r}.")
         with wrong_usage():
             values[name] = parse_yaml(value, f"{option} {setting[:60]}")
+        if values[name] is None and value.strip().lower() not in ("null", "~"):
+            raise UsageError(f"{option} {setting[:60]}: expected a value; write {name}=null for none.")
+        if isinstance(values[name], str) and value.strip()[:1] not in "'\"|>!&" and values[name] != value.strip():
+            raise UsageError(f"{option} {setting[:60]}: YAML reads {values[name]!r}; put the text in quotes.")
     return values
 
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from shape_obs.config.detector_config import NO_BACKEND, DetectorConfig
 from shape_obs.spec import SpecError, did_you_mean, to_plain
-from shape_obs.utils.documents import is_of_script
+from shape_obs.utils.documents import dump_yaml, is_of_script, read_yaml
 
 if TYPE_CHECKING:
     from shape_obs.configurations.base import Configuration
@@ -44,8 +44,6 @@ def load_config(path: str | os.PathLike[str]) -> dict[str, Any]:
         FileNotFoundError: There is no such file.
         SpecError: The file is no YAML, of another version, or holds an unknown section or field.
     """
-    from shape_obs.utils.documents import read_yaml
-
     data = read_yaml(path, "config")
     if not isinstance(data, Mapping):
         raise SpecError(f"{path}: expected 'version', 'shape', 'scene' and 'runtime', got {type(data).__name__}.")
@@ -90,8 +88,6 @@ def save_config(path: str | os.PathLike[str], arguments: Mapping[str, Any]) -> N
 
 def dump_config(arguments: Mapping[str, Any]) -> str:
     """Return what ``save_config`` writes: YAML of three sections, defaults filled in."""
-    import yaml
-
     for path in DetectorConfig.from_dict(detector_arguments(arguments)).code_paths:
         if is_of_script(path):
             raise SpecError(
@@ -99,7 +95,7 @@ def dump_config(arguments: Mapping[str, Any]) -> str:
                 "notebook in which it is defined. Move the function to a module, and give it, or its path "
                 "'module:function'."
             )
-    return yaml.safe_dump(_sections(arguments), sort_keys=False)
+    return dump_yaml(_sections(arguments))
 
 
 def detector_arguments(arguments: Mapping[str, Any]) -> dict[str, Any]:

@@ -64,7 +64,7 @@ class SignalStop:
     def unmasked(self) -> Iterator[None]:
         """Raise ``Interrupted`` again if a signal came and the block ends with another error.
 
-        A driver may turn the exception of a signal into one of its own. A compiled function calls some Python to build
+        A driver may turn the exception of a signal into another one. A compiled function calls some Python to build
         the arrays that it returns; an exception there comes out as a ``SystemError`` of the function.
         """
         try:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
@@ -55,20 +55,18 @@ def read_yaml(path: str | os.PathLike[str], what: str) -> Any:
     return parse_yaml(_read(path, what), str(path))
 
 
-def parse_json(text: str | bytes, where: str, make_object: Callable[[list[tuple[str, Any]]], Any] | None = None) -> Any:
+def parse_json(text: str | bytes, where: str) -> Any:
     """Parse a JSON text.
 
     Args:
         text: The text; bytes are UTF-8.
         where: The start of error messages: the name of the file, or name and line.
-        make_object: Called with the names and values of each object to make it, as ``object_pairs_hook`` of the
-            standard library; raises ``ValueError`` to refuse one. Default: a dict.
 
     Raises:
-        SpecError: The file is not JSON, or is nested too deeply.
+        SpecError: The file is not JSON, has an object with the same name twice, or is nested too deeply.
     """
     try:
-        value = json.loads(_decoded(text), object_pairs_hook=make_object)
+        value = json.loads(_decoded(text), object_pairs_hook=_unique)
     except RecursionError as error:
         raise SpecError(f"{where}: {_too_deep()}") from error
     except ValueError as error:
@@ -83,12 +81,15 @@ def parse_yaml(text: str | bytes, where: str, loader: Any = None) -> Any:
     Args:
         text: The text; bytes are UTF-8.
         where: The start of error messages: the name of the file, or a command-line option.
-        loader: A stricter subclass of ``yaml.SafeLoader``. Default: ``yaml.SafeLoader``.
+        loader: A stricter subclass of ``shape_obs.utils.yaml_text.Loader``, which is the default.
 
     Raises:
-        SpecError: The text is not YAML, too long, nested too deeply, or its aliases stand for too many values.
+        SpecError: The text is not YAML, gives a name twice, is too long or nested too deeply, or its aliases stand for
+            too many values.
     """
     import yaml  # takes 20 ms, which commands without a YAML file save
+
+    from shape_obs.utils.yaml_text import Loader
 
     # What ``yaml.safe_load`` raises besides ``YAMLError``: constructors of tags such as ``!!int`` and ``!!timestamp``.
     yaml_errors = (
@@ -97,14 +98,32 @@ def parse_yaml(text: str | bytes, where: str, loader: Any = None) -> Any:
     if len(text) > LONGEST_YAML:
         raise SpecError(f"{where}: expected at most {LONGEST_YAML} bytes of YAML, got {len(text)}.")
     try:
-        value = yaml.load(_decoded(text), Loader=loader or yaml.SafeLoader)
+        value = yaml.load(_decoded(text), Loader=loader or Loader)
     except RecursionError as error:
         raise SpecError(f"{where}: {_too_deep()}") from error
     except yaml_errors as error:
         reason = str(error) if isinstance(error, (yaml.YAMLError, ValueError)) else repr(error)
-        raise SpecError(f"{where}: not valid YAML: {reason}") from error
+        hint = ". Indent with spaces, not with tabs." if "'\\t'" in reason else ""
+        raise SpecError(f"{where}: not valid YAML: {reason}{hint}") from error
     _check_bounds(value, where, MOST_VALUES)
     return value
+
+
+def dump_yaml(value: Any) -> str:
+    """Return a value of plain types as YAML, in the order of its names."""
+    import yaml
+
+    from shape_obs.utils.yaml_text import Dumper
+
+    return yaml.dump(value, Dumper=Dumper, sort_keys=False)
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    values = dict(pairs)
+    if len(values) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"the name {next(name for name in names if names.count(name) > 1)!r} is given twice")
+    return values
 
 
 def _read(path: str | os.PathLike[str], what: str) -> bytes:

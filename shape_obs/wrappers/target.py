@@ -11,7 +11,6 @@ from typing import Any, Final, Literal
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
-import yaml
 
 from shape_obs.camera import CameraModel
 from shape_obs.config.config_file import SCENE_FIELDS, VERSION
@@ -20,7 +19,7 @@ from shape_obs.features import FeatureContext
 from shape_obs.geometry.topology import Grid
 from shape_obs.shape import Shape
 from shape_obs.spec import Spec, SpecError
-from shape_obs.utils.documents import read_yaml
+from shape_obs.utils.documents import dump_yaml, read_yaml
 from shape_obs.utils.files import write_text
 from shape_obs.wrappers.goals import find_shapes, goal_topology, resample, shape_at
 from shape_obs.wrappers.shape_observation import ShapeObservation
@@ -163,7 +162,7 @@ class Target(Spec):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a YAML file, completely or not at all."""
-        write_text(Path(path), yaml.safe_dump({"version": VERSION, "goal": self.to_dict()}, sort_keys=False))
+        write_text(Path(path), dump_yaml({"version": VERSION, "goal": self.to_dict()}))
 
     def shape_for(self, spec: Configuration, context: FeatureContext) -> Shape:
         """Return the target as the shape that the detector would report.

@@ -36,6 +36,7 @@ plain = st.recursive(
         (b"\xff\xfe", "not valid JSON: .*utf-8"),
         ("9" * 5000, "not valid JSON: "),
         ("", "not valid JSON: "),
+        ('{"b": {"a": 1, "a": 2}}', "'a' is given twice"),
     ],
 )
 def test_json_that_cannot_be_read(text, message):
@@ -50,14 +51,18 @@ def test_json_that_cannot_be_read(text, message):
         ("- " * 100 + "x", "nested too deeply; expected at most 64 levels"),
         (BOMB, "holds more than 200000 values: write out the parts that its aliases repeat"),
         ("&a [*a]", "(nested too deep|aliases)"),
-        ("a: 2020-13-45", "not valid YAML: month must be in 1..12"),
+        ("!!timestamp 2020-13-45", "not valid YAML: month must be in 1..12"),
         ("!!int ''", "not valid YAML: IndexError"),
         ("!!python/object/apply:os.getpid []", "not valid YAML: could not determine a constructor"),
         ("{[1]: 2}", "not valid YAML: "),
         (b"a: \xff", "not valid YAML: .*utf-8"),
         ("#" * (9 << 20), "expected at most 8388608 bytes of YAML"),
+        ("a: 1\nb: 2\na: 3", "'a' is given twice.*line 3"),
+        ("{x: {y: 1, 'y': 2}}", "'y' is given twice"),
+        ("{a:1}", "space after its colon"),
+        ("a:\n\t- 1", "spaces, not with tabs"),
     ],
-    ids=range(10),
+    ids=range(14),
 )
 def test_yaml_that_cannot_be_read(text, message):
     with pytest.raises(SpecError, match=f"(?s)^here: .*{message}"):

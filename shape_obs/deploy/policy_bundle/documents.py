@@ -18,6 +18,7 @@ import yaml
 
 from shape_obs.utils.documents import parse_json, parse_yaml
 from shape_obs.utils.errors import SpecError
+from shape_obs.utils.yaml_text import Dumper, Loader
 
 if TYPE_CHECKING:
     import torch
@@ -87,7 +88,7 @@ def read_json(data: bytes, what: str) -> dict[str, Any]:
         BundleError: The member is not a JSON object, repeats a name, is nested too deeply, or holds too much.
     """
     try:
-        value = parse_json(data, what, _unique)
+        value = parse_json(data, what)
     except SpecError as error:
         raise BundleError(str(error)) from error
     return _checked(value, what)
@@ -107,12 +108,12 @@ def read_yaml(data: bytes, what: str) -> dict[str, Any]:
     return _checked(value, what)
 
 
-class _DumperWithoutAliases(yaml.SafeDumper):
+class _DumperWithoutAliases(Dumper):
     def ignore_aliases(self, data: Any) -> bool:
         return True
 
 
-class _LoaderWithoutAliases(yaml.SafeLoader):
+class _LoaderWithoutAliases(Loader):
     """Load YAML safely, and stop at the first alias or beyond ``MOST_DEPTH``."""
 
     _depth = 0
@@ -126,13 +127,6 @@ class _LoaderWithoutAliases(yaml.SafeLoader):
         node = super().compose_node(parent, index)
         self._depth -= 1
         return node
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    values = dict(pairs)
-    if len(values) < len(pairs):
-        raise ValueError("an object has the same name twice")
-    return values
 
 
 def _checked(value: Any, what: str) -> dict[str, Any]:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
 
 from shape_obs.deploy.policy_bundle.documents import MALFORMED, BundleError, needs_trust
 from shape_obs.deploy.policy_bundle.limits import (
@@ -32,7 +34,9 @@ _MOST_EPISODE: Final = 10**9
 #: Wrappers that only observe a training. Some take functions, which cannot be written as JSON.
 _WATCHERS: Final = ("Monitor", "RecordVideo", "RecordEpisodeStatistics", "PassiveEnvChecker", "HumanRendering")
 #: Wrappers that are needed only in training; on a robot, the action limiter clips actions.
-_TRAINING: Final = ("TimeLimit", "OrderEnforcing", "Curriculum", "ClipAction", "Autoreset")
+_TRAINING: Final = (
+    "TimeLimit", "OrderEnforcing", "Curriculum", "ClipAction", "Autoreset", "ClipReward", "NormalizeReward",
+)  # fmt: skip
 #: Wrappers that turn the detected shape into the observation of the policy.
 _READING: Final = ("ShapeGoal", "PointReward", "FlattenObservation", "FilterObservation")
 _SHAPE: Final = "ShapeObservation"
@@ -44,6 +48,8 @@ _SIMULATION_ONLY: Final = {
 #: Wrappers of vector environments that leave observations alone, except that Stable-Baselines3 transposes images.
 _VECTOR: Final = ("VecNormalize", "VecTransposeImage", "VecMonitor", "VecCheckNan", "VecVideoRecorder")
 _ROBOT_KEYS: Final = ("rgb", "depth", "robot")
+#: Names of attributes in which wrappers keep statistics, such as "obs_rms", "running_mean" and "std".
+_STATISTIC: Final = re.compile(r"(^|_)(mean|average|avg|var|variance|std|m2|rms|stats)(_|$)")
 
 
 # ---- As JSON values
@@ -181,11 +187,13 @@ def training_spec(env: Any) -> EnvSpec:
     """
     from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
+    normalized = 0
     while isinstance(env, VecEnvWrapper):
-        if type(env).__name__ not in _VECTOR:
+        normalized += type(env).__name__ == "VecNormalize"
+        if type(env).__name__ not in _VECTOR or normalized > 1:
             raise BundleError(
                 f"a bundle cannot store how {type(env).__name__} changes observations; known wrappers of vector "
-                f"environments are {', '.join(_VECTOR)}."
+                f"environments are {', '.join(_VECTOR)}, each once."
             )
         env = env.venv
     spec = env.get_attr("spec")[0] if isinstance(env, VecEnv) else env.spec
@@ -198,17 +206,57 @@ def training_spec(env: Any) -> EnvSpec:
             f"the wrapper {unknown[0]} does not record its arguments, so the environment cannot be rebuilt: derive it "
             "from gymnasium.utils.RecordConstructorArgs too."
         )
+    place = f"the environment {spec.id}"
     try:
+        json.dumps(dict(spec.kwargs))
+        for wrapper in kept:
+            place = f"the wrapper {wrapper.name}"
+            json.dumps(dict(wrapper.kwargs or {}))
         described = json.loads(json.dumps(to_dict(replace(spec, additional_wrappers=kept))))
     except (TypeError, ValueError) as error:
-        raise BundleError(f"the environment {spec.id} cannot be written as JSON: {error}") from error
+        raise BundleError(f"{place}: its arguments cannot be written as JSON: {error}") from error
     return from_dict(described, trust=True)
+
+
+def check_statistics(rebuilt: gym.Env[Any, Any], trained: Sequence[Any]) -> None:
+    """Refuse wrappers whose statistics of the training are not in the spec, and would be lost.
+
+    Args:
+        rebuilt: The environment that was made from the spec.
+        trained: Environments of the training, vector environments or not.
+
+    Raises:
+        BundleError: The message names the wrapper.
+    """
+    import gymnasium as gym
+
+    env = rebuilt
+    while isinstance(env, gym.Wrapper):
+        for name, value in vars(env).items():
+            counted = all(hasattr(value, part) for part in ("mean", "var", "count"))
+            numbers = isinstance(value, (float, np.ndarray)) and _STATISTIC.search(name.lower()) is not None
+            differs = numbers and not all(np.array_equal(value, _attribute(each, name)) for each in trained)
+            if (counted or differs) and not isinstance(env, (gym.wrappers.NormalizeReward, gym.RewardWrapper)):
+                raise BundleError(
+                    f"a bundle cannot store the statistics that the wrapper {type(env).__name__} keeps in {name!r}: "
+                    "normalise with VecNormalize of Stable-Baselines3, whose statistics it stores."
+                )
+        env = env.env
+
+
+def _attribute(env: Any, name: str) -> Any:
+    """Return an attribute of a wrapper, of the first environment if there are several; None if there is none."""
+    from stable_baselines3.common.vec_env import VecEnv
+
+    try:
+        return env.get_attr(name)[0] if isinstance(env, VecEnv) else env.get_wrapper_attr(name)
+    except AttributeError:
+        return None
 
 
 def reading_wrappers(spec: EnvSpec) -> list[WrapperSpec]:
     """Return the policy's own wrappers around its ``ShapeObservation``, the innermost first."""
-    names = [wrapper.name for wrapper in spec.additional_wrappers]
-    shape = len(names) - 1 - names[::-1].index(_SHAPE)
+    shape = _shape_at([wrapper.name for wrapper in spec.additional_wrappers])
     return [wrapper for wrapper in spec.additional_wrappers[shape + 1 :] if wrapper.name in _READING]
 
 
@@ -220,9 +268,8 @@ def obstacle(spec: EnvSpec) -> str:
             return f"{reason} ({name})"
     if _SHAPE not in names:
         return "it does not read shapes: there is no ShapeObservation in its environment"
-    shape = len(names) - 1 - names[::-1].index(_SHAPE)
-    kept = (spec.additional_wrappers[shape].kwargs or {}).get("keep") or ()
-    return _missing(kept) or _unknown(names[shape + 1 :])
+    kept = (spec.additional_wrappers[_shape_at(names)].kwargs or {}).get("keep") or ()
+    return _missing(kept) or unknown_wrapper(spec)
 
 
 def _missing(kept: Iterable[str]) -> str:
@@ -230,6 +277,14 @@ def _missing(kept: Iterable[str]) -> str:
     return f"it also reads {', '.join(missing)}, which only its simulator provides (keep)" if missing else ""
 
 
-def _unknown(names: Iterable[str]) -> str:
-    unknown = [name for name in names if name not in (*_READING, *_TRAINING)]
+def unknown_wrapper(spec: EnvSpec) -> str:
+    """Return which wrapper around the ``ShapeObservation`` has an unknown effect on a robot; ``""`` if none has."""
+    names = [wrapper.name for wrapper in spec.additional_wrappers]
+    around = names[_shape_at(names) + 1 :]
+    unknown = [name for name in around if name not in (*_READING, *_TRAINING, *_SIMULATION_ONLY)]
     return f"it is not known what the wrapper {unknown[0]} does on a robot" if unknown else ""
+
+
+def _shape_at(names: Sequence[str]) -> int:
+    """Return the place of the outermost ``ShapeObservation`` among wrappers; past all of them if there is none."""
+    return len(names) - 1 - names[::-1].index(_SHAPE) if _SHAPE in names else len(names)

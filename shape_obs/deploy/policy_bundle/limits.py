@@ -74,7 +74,7 @@ FORMER_ENTRY_POINTS: Final = {
     "shape_obs.training.true_state:TrueState": "TrueState",
     "shape_obs_envs.d455.noise:D455Noise": "D455Noise",
 }
-#: Gymnasium's wrappers that take no function and keep no statistics, and their arguments.
+#: Gymnasium's wrappers that take no function and keep no statistics of observations, and their arguments.
 GYMNASIUM_WRAPPERS: Final[Mapping[str, tuple[str, ...]]] = {
     "AddRenderObservation": ("render_only", "render_key", "obs_key"),
     "Autoreset": (),
@@ -86,6 +86,7 @@ GYMNASIUM_WRAPPERS: Final[Mapping[str, tuple[str, ...]]] = {
     "FrameStackObservation": ("stack_size", "padding_type"),
     "GrayscaleObservation": ("keep_dim",),
     "MaxAndSkipObservation": ("skip",),
+    "NormalizeReward": ("gamma", "epsilon"),
     "OrderEnforcing": ("disable_render_order_enforcing",),
     "RescaleAction": ("min_action", "max_action"),
     "RescaleObservation": ("min_obs", "max_obs"),

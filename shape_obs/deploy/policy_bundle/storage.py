@@ -14,8 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
-
 from shape_obs.config.config_file import SECTIONS, detector_arguments, dump_config
 from shape_obs.config.detector_config import ALGORITHM, DetectorConfig
 from shape_obs.deploy.policy_bundle import environment
@@ -54,6 +52,7 @@ from shape_obs.deploy.policy_bundle.spaces import Statistics, channels_first, la
 from shape_obs.robot import ActionSpec
 from shape_obs.spec import to_plain
 from shape_obs.utils.arrays import decode_npz
+from shape_obs.utils.documents import parse_yaml
 from shape_obs.wrappers.env_protocol import seconds_per_step
 
 if TYPE_CHECKING:
@@ -84,13 +83,15 @@ def save_bundle(
         action_spec: Meaning of an action of 1, for an environment that does not publish it.
 
     Raises:
-        BundleError: The environment cannot be rebuilt from its spec, is not the one in which the model was trained, or
-            the policy has an argument that is neither a JSON value nor a class.
+        BundleError: The environment cannot be rebuilt from its spec, a wrapper keeps statistics of the training, the
+            environment is not the one in which the model was trained, or the policy has an argument that is neither a
+            JSON value nor a class.
         OSError: The file cannot be written.
 
     Warns:
         UserWarning: The policy has a class, or the environment a wrapper or an argument, that ``load_bundle`` or
-            ``make_env`` reads only with ``trust=True``. The message names it.
+            ``make_env`` reads only with ``trust=True``, or a wrapper is there whose effect on a robot is unknown. The
+            message names it.
 
     Example:
         >>> save_bundle(model, model.get_env(), "cable.policy")  # doctest: +SKIP
@@ -103,6 +104,7 @@ def save_bundle(
         raise BundleError(f"summary: expected JSON values, {error}.") from error
     rebuilt = environment.rebuild(spec, trust=True, arguments={})
     try:
+        environment.check_statistics(rebuilt, [each for each in (env, model.get_env()) if each is not None])
         surroundings = Surroundings.of(rebuilt)
     finally:
         rebuilt.close()
@@ -120,7 +122,7 @@ def save_bundle(
     weights = write_weights(model.policy.state_dict())
     members = {WEIGHTS: weights, ENV: write_json(pack(environment.to_dict(spec), files))}
     if surroundings.config is not None:
-        sections = pack(yaml.safe_load(dump_config(surroundings.config)), files)
+        sections = pack(parse_yaml(dump_config(surroundings.config), CONFIG), files)
         members[CONFIG] = write_yaml(sections)
     statistics = Statistics.of(_normalize(env) or model.get_vec_normalize_env())
     if statistics is not None:
@@ -129,12 +131,14 @@ def save_bundle(
     described = {name: value for name, value in record.to_dict().items() if name != "config"}
     members[RECORD] = write_json({**described, "network": vars(network)})
     check_members({**members, **files})
-    _warn_of_trust(network, spec)
+    _warn(network, spec)
     write_archive(path, {**members, **files})
 
 
-def _warn_of_trust(network: Network, spec: EnvSpec) -> None:
-    """Warn about parts that are read only with ``trust=True``."""
+def _warn(network: Network, spec: EnvSpec) -> None:
+    """Warn about parts that are read only with ``trust=True``, and wrappers that keep the policy from a robot."""
+    if reason := environment.unknown_wrapper(spec):
+        warnings.warn(f"the policy will run in a simulator only: {reason}.", UserWarning, stacklevel=3)
     try:
         network.check_known()
         environment.from_dict(environment.to_dict(spec), trust=False)

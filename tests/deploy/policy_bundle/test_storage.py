@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -14,6 +15,8 @@ import numpy as np
 import pytest
 import yaml
 from bundles import Twice, cable, learner, rope, train
+from gymnasium import wrappers
+from gymnasium.utils import RecordConstructorArgs
 from gymnasium.wrappers import RepeatAction
 from installed import needs
 
@@ -93,6 +96,84 @@ def test_the_duration_of_a_step_counts_what_wrappers_repeat(tmp_path, around, dt
     for each in (env, model.get_env()):
         save_bundle(model, each, tmp_path / "a.policy")
         assert load_bundle(tmp_path / "a.policy").dt == pytest.approx(dt)
+
+
+def vector(env: Any, *around: Any) -> Any:
+    """Return an environment as a vector environment of Stable-Baselines3, in wrappers of it."""
+    from stable_baselines3.common import vec_env
+
+    vector = vec_env.DummyVecEnv([lambda: env])
+    for name, *arguments in around:
+        vector = getattr(vec_env, name)(vector, *arguments)
+    return vector
+
+
+class Mine(wrappers.NormalizeObservation):
+    """A normalisation of the user."""
+
+
+class Welford(gym.ObservationWrapper, RecordConstructorArgs):
+    """A running mean of the user, whose attributes are numbers."""
+
+    def __init__(self, env: Any) -> None:
+        RecordConstructorArgs.__init__(self)
+        gym.ObservationWrapper.__init__(self, env)
+        self.running_mean, self.count = np.zeros(env.observation_space.shape), 0
+
+    def observation(self, observation: Any) -> Any:
+        self.count += 1
+        self.running_mean = self.running_mean + (observation - self.running_mean) / self.count
+        return (observation - self.running_mean).astype(np.float32)
+
+
+BOUNDS: Any = (-2.0, 2.0)
+
+
+class Standard(gym.ObservationWrapper, RecordConstructorArgs):
+    """A mean and a deviation that are arguments."""
+
+    def __init__(self, env: Any, mean: float, std: float) -> None:
+        RecordConstructorArgs.__init__(self, mean=mean, std=std)
+        gym.ObservationWrapper.__init__(self, env)
+        self.mean, self.std = mean, std
+
+    def observation(self, observation: Any) -> Any:
+        return ((observation - self.mean) / self.std).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("wrap", "refused", "warned"),
+    [
+        (wrappers.NormalizeObservation, "statistics that the wrapper NormalizeObservation", ""),
+        (Mine, "statistics that the wrapper Mine", ""),
+        (Welford, "statistics that the wrapper Welford", ""),
+        (lambda env: vector(Welford(env)), "statistics that the wrapper Welford", ""),
+        (lambda env: vector(env, ("VecFrameStack", 2)), "VecFrameStack", ""),
+        (lambda env: vector(env, ("VecNormalize",), ("VecNormalize",)), "VecNormalize", ""),
+        (lambda env: wrappers.TransformObservation(env, np.negative, None), "wrapper TransformObservation", ""),
+        (lambda env: Standard(env, 0.2, 2.0), "", "in a simulator only.*Standard"),
+        (wrappers.TimeAwareObservation, "", "in a simulator only.*TimeAwareObservation"),
+        (lambda env: wrappers.RescaleObservation(env, *BOUNDS), "", "simulator only.*RescaleObservation"),
+        (wrappers.NormalizeReward, "", ""),
+    ],
+)
+def test_a_policy_reads_the_same_when_rebuilt_or_the_wrapper_is_named_at_saving(tmp_path, wrap, refused, warned):
+    env = wrap(gym.wrappers.TimeLimit(rope(n=10), 50))
+    model = learner(env, "PPO", n_steps=4, batch_size=4)
+    model.learn(4)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        if refused:
+            for given in (env, model.get_env()):
+                with pytest.raises(BundleError, match=refused):
+                    save_bundle(model, given, tmp_path / "a.policy")
+            return
+        save_bundle(model, env, tmp_path / "a.policy")
+    assert bool(re.search(warned or "simulator only", " ".join(str(each.message) for each in caught))) == bool(warned)
+    bundle = load_bundle(tmp_path / "a.policy", trust=True)
+    observation, _ = bundle.make_env().reset(seed=1)
+    np.testing.assert_array_equal(observation, env.reset(seed=1)[0])
+    np.testing.assert_array_equal(bundle.act(observation), model.predict(observation, deterministic=True)[0])
 
 
 @pytest.mark.parametrize("trust", [False, True])

@@ -91,7 +91,7 @@ class RealSenseSource(Source):
         self,
         device: SoftwareD455 | Sequence[SoftwareD455] | None = None,
         *,
-        serial: str | None = None,
+        serial: str | int | None = None,
         model: str = "d455",
         recording: str | Path | None = None,
         width: int = 640,
@@ -122,7 +122,7 @@ class RealSenseSource(Source):
         self.options = CameraOptions(exposure, gain, white_balance, laser_power, preset)
         mode = count("width", width, 1), count("height", height, 1), count("fps", fps, 1)
         self._setup = Setup(*mode, self.options, tuple(filters), max_gap)
-        self._device = _device(device, serial, recording, model.lower())
+        self._device = _device(device, None if serial is None else str(serial), recording, model.lower())
         self._record_to = None if record_to is None else Path(record_to)
         self._buffer, self._patience, self._recover_timeout = buffer, patience, recover_timeout
         self.timings = {}
