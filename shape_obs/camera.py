@@ -17,6 +17,7 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.foreign_cameras import read_fields
 from shape_obs.spec import Spec, SpecError, did_you_mean
+from shape_obs.utils.lengths import warn_unless_metres
 
 #: A camera in any form that ``as_camera_model`` reads.
 CameraLike = Any
@@ -186,21 +187,8 @@ class CameraModel:
         object.__setattr__(self, "intrinsics", as_intrinsics(self.intrinsics))
         if self.transform_camera_to_base is None:
             return
-        transform = np.array(self.transform_camera_to_base, dtype=np.float64)
-        usable = transform.shape == (4, 4) and bool((np.abs(transform) <= _MAX_DISTANCE).all())
-        rotation = transform[:3, :3] if usable else np.zeros((3, 3))
-        # The size first: products of huge numbers overflow.
-        rigid = (
-            np.all(np.abs(rotation) < 2)
-            and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
-            and np.linalg.det(rotation) > 0
-        )
-        if not rigid or not np.allclose(transform[3], (0, 0, 0, 1)):
-            raise ValueError(
-                "CameraModel: transform_camera_to_base must be a rigid (4,4) transform (rotation, translation in "
-                f"metres, last row 0 0 0 1), got shape {np.shape(self.transform_camera_to_base)}:\n{transform}"
-            )
-        transform.setflags(write=False)
+        transform = rigid_transform(self.transform_camera_to_base, "CameraModel: transform_camera_to_base")
+        warn_unless_metres("CameraModel: translation of transform_camera_to_base", transform[:3, 3], stacklevel=4)
         object.__setattr__(self, "transform_camera_to_base", transform)
 
     def to_base(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
@@ -259,6 +247,7 @@ class DepthNoise(Spec):
             raise ValueError(f"DepthNoise: disparity must lie in 0...{_MAX_DISPARITY:g} pixels, got {self.disparity}.")
         if not 0 < self.baseline <= _MAX_BASELINE:
             raise ValueError(f"DepthNoise: baseline must lie in 0...{_MAX_BASELINE:g} metres, got {self.baseline}.")
+        warn_unless_metres("DepthNoise: baseline", self.baseline, most=2.0, stacklevel=4)
 
     def sigma(self, z: npt.ArrayLike, focal: float) -> npt.NDArray[np.float64]:
         """Return the standard deviation of depth in metres.
@@ -333,6 +322,33 @@ def as_camera_model(camera: CameraLike, size: tuple[int, int] | None = None) -> 
 def as_intrinsics(camera: CameraLike, size: tuple[int, int] | None = None) -> Intrinsics:
     """Return the intrinsics that a camera without a pose describes, see ``as_camera_model``."""
     return camera if isinstance(camera, Intrinsics) else Intrinsics.from_dict(read_fields(camera, size))
+
+
+def rigid_transform(values: npt.ArrayLike, what: str) -> npt.NDArray[np.float64]:
+    """Return a ``(4, 4)`` rigid transform as an array that is read-only.
+
+    Raises:
+        SpecError: It is none; the message begins with ``what``.
+    """
+    try:
+        transform = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise SpecError(f"{what} must be a rigid (4,4) transform, got {values!r:.200}: {error}") from error
+    usable = transform.shape == (4, 4) and bool((np.abs(transform) <= _MAX_DISTANCE).all())
+    rotation = transform[:3, :3] if usable else np.zeros((3, 3))
+    # The size first: products of huge numbers overflow.
+    rigid = (
+        np.all(np.abs(rotation) < 2)
+        and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
+        and np.linalg.det(rotation) > 0
+    )
+    if not rigid or not np.allclose(transform[3], (0, 0, 0, 1)):
+        raise SpecError(
+            f"{what} must be a rigid (4,4) transform (rotation, translation in metres, last row 0 0 0 1), got shape "
+            f"{transform.shape}:\n{transform}"
+        )
+    transform.setflags(write=False)
+    return transform
 
 
 def _as_points(points: npt.ArrayLike, dimension: int, name: str) -> npt.NDArray[np.float64]:

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import CameraModel, Intrinsics
+from shape_obs.camera import CameraModel, Intrinsics, rigid_transform
 from shape_obs.spec import Spec, SpecError
 from shape_obs.utils.documents import read_json
 from shape_obs.utils.files import write_text
@@ -23,7 +23,6 @@ CONVENTION: Final = "p_base = T p_camera; T row-major, metres; camera: optical f
 # principal point.
 _SAME: Final = 0.01
 _SECONDS_A_DAY: Final = 86400.0
-_LAST_ROW: Final = (0.0, 0.0, 0.0, 1.0)
 
 
 class ExtrinsicsWarning(UserWarning):
@@ -66,18 +65,7 @@ class Extrinsics(Spec):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if [len(row) for row in self.T] != [4, 4, 4, 4]:
-            raise SpecError(f"Extrinsics.T: expected 4 rows of 4 numbers, got rows of {[len(row) for row in self.T]}.")
-        matrix = self.matrix
-        turn = matrix[:3, :3]
-        # Check the size first: products of huge numbers overflow.
-        rigid = np.all(np.isfinite(matrix)) and np.all(np.abs(turn) < 2)
-        rigid = rigid and np.allclose(turn @ turn.T, np.eye(3), atol=1e-4)
-        if not rigid or np.linalg.det(turn) < 0 or not np.allclose(matrix[3], _LAST_ROW):
-            raise SpecError(
-                "Extrinsics.T: expected a rigid transform (a rotation, a translation in metres, last row 0 0 0 1), "
-                f"got {[list(row) for row in self.T]}."
-            )
+        rigid_transform(self.T, "Extrinsics.T")
         if (self.parent, self.child) != ("base", "camera"):
             raise SpecError(
                 f"Extrinsics: expected parent 'base' and child 'camera', got {self.parent!r} and {self.child!r}; "

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from shape_obs.markers import DICTIONARY, dictionary_named
 from shape_obs.markers.finder import as_gray
 from shape_obs.spec import Spec, SpecError
+from shape_obs.utils.lengths import warn_unless_metres
 
 Array = npt.NDArray[np.float64]
 
@@ -49,6 +50,7 @@ class Board(Spec):
                 f"Board: expected at least 3 x 3 squares and 0 < marker < square metres, got {self.columns} x "
                 f"{self.rows} squares of {self.square} m with markers of {self.marker} m."
             )
+        warn_unless_metres("Board: square", self.square, most=1.0, least=0.002, stacklevel=4)
         last, count = FIRST_ID + self.columns * self.rows // 2 - 1, len(dictionary_named(self.dictionary).bytesList)
         if last >= count:
             raise SpecError(f"Board: its markers need the ids {FIRST_ID} to {last}, {self.dictionary!r} has {count}.")

@@ -9,11 +9,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import Intrinsics
+from shape_obs.camera import CameraLike, Intrinsics, as_intrinsics
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import depth_in_metres
 from shape_obs.geometry.observed import MAD_SIGMA
 from shape_obs.geometry.rotation import fit
+from shape_obs.utils.lengths import warn_unless_metres
 
 Array = npt.NDArray[np.float64]
 
@@ -72,6 +73,8 @@ def fit_base(
         raise ValueError(f"fit_base: expected two arrays of shape (K, 3), got {seen.shape} and {touched.shape}.")
     if not (np.all(np.isfinite(seen)) and np.all(np.isfinite(touched))):
         raise ValueError("fit_base: expected finite metres.")
+    for name, points in (("points_camera", seen), ("points_base", touched)):
+        warn_unless_metres(f"fit_base: {name}", points)
     if len(seen) < LEAST_TOUCHES:
         raise ValueError(f"{len(seen)} touches are too few, at least {LEAST_TOUCHES} are needed: touch more corners.")
     for name, points in (("corners seen", seen), ("touches", touched)):
@@ -104,7 +107,7 @@ def _suspect(seen: Array, touched: Array) -> tuple[int | None, float]:
 
 
 def marker_points(
-    corners: Array, intrinsics: Intrinsics, depth: npt.NDArray[Any] | None = None, size: float | None = None
+    corners: Array, intrinsics: CameraLike, depth: npt.NDArray[Any] | None = None, size: float | None = None
 ) -> Array:
     """Return the positions of a marker's corners in space.
 
@@ -114,7 +117,7 @@ def marker_points(
 
     Args:
         corners: ``(4, 2)`` pixels, see ``find_markers``.
-        intrinsics: The intrinsics of the image.
+        intrinsics: The intrinsics of the image, or what ``as_camera_model`` reads.
         depth: ``(H, W)`` uint16 millimetres or float metres; None without depth.
         size: Side of the marker's black square in metres; None if unknown.
 
@@ -124,11 +127,13 @@ def marker_points(
     Raises:
         ValueError: There is not enough depth on the marker, and its size is unknown.
     """
+    intrinsics = as_intrinsics(intrinsics, None if depth is None else (depth.shape[0], depth.shape[1]))
     plane = None if depth is None else _plane(corners, depth)
     if plane is not None:
         return intrinsics.deproject(corners, 1 / (corners @ plane[:2] + plane[2]))
     if size is None:
         raise ValueError("there is not enough depth on the marker: give the marker's size.")
+    warn_unless_metres("size of the marker", size, most=1.0, least=0.002)
     half = size / 2
     square = np.array([(-half, half, 0), (half, half, 0), (half, -half, 0), (-half, -half, 0)])
     rays = np.ascontiguousarray(intrinsics.rays(corners)[:, :2])

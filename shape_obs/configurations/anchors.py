@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy.typing as npt
 from shape_obs.camera import CameraModel
 from shape_obs.configurations.base import Configuration
 from shape_obs.spec import did_you_mean
+from shape_obs.utils.lengths import MOST
 
 Array = npt.NDArray[np.float64]
 Anchors = Mapping[str, Sequence[float]] | None
@@ -62,6 +64,9 @@ def _point(spec: Configuration, anchors: Anchors) -> tuple[Array | None, str]:
     point = np.asarray(anchor, dtype=np.float64)
     if point.shape not in ((2,), (3,)) or not np.all(np.isfinite(point)):
         raise ValueError(f"shape {spec.name!r}: anchor must be a finite (u, v) or (x, y, z), got {anchor!r}.")
+    if len(point) == 3 and np.abs(point).max() > MOST:  # in the same words each time: Python shows equal warnings once
+        text = f"shape {spec.name!r}: anchor {spec.anchor!r} lies more than {MOST:g} m from the base"
+        warnings.warn(f"{text}: is it in millimetres? Give metres.", stacklevel=4)
     return point, f"shape {spec.name!r}: anchor {anchor!r}"
 
 

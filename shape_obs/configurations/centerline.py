@@ -36,6 +36,7 @@ from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.rope_length import learn_length, learnt
 from shape_obs.tracking.rope_match import ADRIFT, evened, match_to_rope
 from shape_obs.tracking.validation import MAX_HIDDEN, doubt_in_space, sample_spread, validate_ribbon
+from shape_obs.utils.lengths import warn_unless_metres
 
 if TYPE_CHECKING:
     from shape_obs.point_cloud.cloud import Cloud
@@ -66,6 +67,7 @@ _GAP: Final = 0.1
 _MIN_BETWEEN: Final = 0.6  # while both ends are hidden
 _MIN_FOLLOWED: Final = 0.15
 _END_ON: Final = 4.0  # a rope is this much longer in space than in the image: its points cannot be told apart there
+_SHORTEST: Final = 0.005  # metres: a length below is in another unit
 _NOTHING: Final = np.zeros(0)
 _EVERYWHERE: Final = Window(-(1 << 30), -(1 << 30), 1 << 31, 1 << 31)
 _MIN_ASPECT: Final = 3.0  # length over width; what is stouter has no distinct axis, and a chain would fold up in it
@@ -96,6 +98,8 @@ class Centerline(Configuration, kind="centerline"):
             raise ValueError(f"centerline: n must lie in 2...1000, got {self.n}.")
         if self.length is not None and not 0 < self.length < np.inf:
             raise ValueError(f"centerline: length must be above 0 metres, or None if unknown, got {self.length}.")
+        if self.length is not None:
+            warn_unless_metres("centerline: length", self.length, least=_SHORTEST, stacklevel=4)
 
     @cached_property
     def layout(self) -> Chain:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,7 @@ from shape_obs.camera import CameraModel
 from shape_obs.features.feature import Feature, FeatureContext
 from shape_obs.shape import Shape
 from shape_obs.spec import did_you_mean
+from shape_obs.utils.lengths import warn_unless_metres
 
 Array = npt.NDArray[np.float64]
 CoordinateFrame = Literal["pixels", "normalized", "camera", "base"]
@@ -42,6 +43,7 @@ class Coordinates:
     def __post_init__(self) -> None:
         if not 0 < self.max_depth < np.inf:
             raise ValueError(f"{self.kind}: max_depth must be a positive number of metres, got {self.max_depth}.")
+        warn_unless_metres(f"{self.kind}: max_depth", self.max_depth, most=100.0, stacklevel=5)
 
     @property
     def unit(self) -> str:
@@ -65,7 +67,7 @@ class Coordinates:
             low, high = np.full(2, -1.0), np.full(2, 1.0)
         elif self.frame == "base" and context.workspace is not None:
             self._camera(context)
-            low, high = (np.asarray(corner, dtype=np.float64) for corner in context.workspace)
+            low, high = _corners(context.workspace)
         else:
             camera = self._camera(context)
             seen = _frustum(camera, self.max_depth)
@@ -221,6 +223,18 @@ class Geometric(Framed):
 
     origin: str | None = None
     max_depth: float = 2.0
+
+
+def _corners(workspace: Any) -> Array:
+    """Return the corners (low, high) of a workspace, of shape ``(2, 3)``, metres."""
+    try:
+        corners = np.asarray(workspace, dtype=np.float64)
+    except (TypeError, ValueError):
+        corners = np.empty(0)
+    if corners.shape != (2, 3):
+        raise ValueError(f"workspace: expected (low, high), two corners (x, y, z) in metres, got {workspace!r:.200}.")
+    warn_unless_metres("workspace", corners)
+    return corners
 
 
 def _frustum(camera: CameraModel, depth: float) -> Array:

@@ -19,6 +19,7 @@ from shape_obs.frame import MILLIMETRE, Frame
 from shape_obs.image.mask_check import checked_mask
 from shape_obs.image.roi import Window
 from shape_obs.spec import Spec, SpecError
+from shape_obs.utils.lengths import warn_unless_metres
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -238,6 +239,7 @@ class DepthRange(Segmentation, kind="depth"):
         super().__post_init__()
         if not 0 < self.near <= self.far or not np.isfinite(self.far):
             raise ValueError(f"depth: expected 0 < near <= far in metres, got near {self.near} and far {self.far}.")
+        warn_unless_metres("depth: near", self.near, stacklevel=4)
 
     def threshold(self, frame: Frame, window: Window) -> npt.NDArray[np.uint8]:
         """Return the mask of the window: ``(h, w)`` uint8, 0 or 255."""

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from shape_obs.camera import Intrinsics
 from shape_obs.markers.finder import DICTIONARY, Corners, check_ids, find_markers
 from shape_obs.spec import Spec, SpecError
+from shape_obs.utils.lengths import warn_unless_metres
 
 Corner = tuple[float, float]
 Array = npt.NDArray[np.float64]
@@ -44,6 +45,7 @@ class MarkerLayout(Spec):
             )
         if not np.all(np.isfinite(self.array)):
             raise SpecError("MarkerLayout: corners must be finite numbers of metres.")
+        warn_unless_metres("MarkerLayout: corners", self.array, least=0.01, stacklevel=4)
 
     @classmethod
     def rectangle(

@@ -12,8 +12,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple, TypeVar
 
-import numpy as np
-
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.frame import Frame
 from shape_obs.robot import ActionSpec
@@ -186,11 +184,7 @@ def camera_from_dict(content: Mapping[str, Any]) -> CameraModel | None:
     intrinsics, pose = content["intrinsics"], content["transform_camera_to_base"]
     if intrinsics is None:
         return None
-    try:
-        matrix = None if pose is None else np.array(pose, np.float64)
-    except OverflowError as error:
-        raise ValueError(f"transform_camera_to_base: {error}") from error
-    return CameraModel(Intrinsics.from_dict(intrinsics), matrix)
+    return CameraModel(Intrinsics.from_dict(intrinsics), pose)
 
 
 class Moment(NamedTuple):

@@ -11,6 +11,7 @@ from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 
 from shape_obs.features import Points3D
+from shape_obs.utils.lengths import warn_unless_metres
 from shape_obs.wrappers import ShapeGoal
 from shape_obs.wrappers.env_protocol import GOALS
 from shape_obs.wrappers.shape_goal import RewardType
@@ -49,6 +50,7 @@ class PointReward(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             raise ValueError(
                 f"expected reward_type 'dense' or 'sparse' and a threshold above 0 m, got {reward_type!r}, {threshold}."
             )
+        warn_unless_metres("PointReward: threshold", threshold, most=1.0)
         RecordConstructorArgs.__init__(self, reward_type=reward_type, threshold=float(threshold))
         gym.Wrapper.__init__(self, env)
         self.reward_type, self.threshold = reward_type, float(threshold)

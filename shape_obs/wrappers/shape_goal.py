@@ -14,6 +14,7 @@ from shape_obs.configurations.base import Configuration
 from shape_obs.features import Feature, FeatureContext, read_features
 from shape_obs.shape import Shape
 from shape_obs.spec import did_you_mean
+from shape_obs.utils.lengths import warn_unless_metres
 from shape_obs.wrappers.env_protocol import has_goals
 from shape_obs.wrappers.goals import STATUS, GoalVector, find_shapes
 from shape_obs.wrappers.observation_layout import ObservationLayout, main_part
@@ -297,4 +298,6 @@ def _checked(threshold: float | None, unit: str) -> float:
     value = _CENTIMETRE if threshold is None else threshold
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < float("inf"):
         raise ValueError(f"threshold: expected a distance above 0, got {value!r}; the default is 0.01 m.")
+    if unit == "m":
+        warn_unless_metres("threshold", value, most=1.0, stacklevel=4)
     return float(value)

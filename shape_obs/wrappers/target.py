@@ -21,6 +21,7 @@ from shape_obs.shape import Shape
 from shape_obs.spec import Spec, SpecError
 from shape_obs.utils.documents import dump_yaml, read_yaml
 from shape_obs.utils.files import write_text
+from shape_obs.utils.lengths import warn_unless_metres
 from shape_obs.wrappers.goals import find_shapes, goal_topology, resample, shape_at
 from shape_obs.wrappers.shape_observation import ShapeObservation
 
@@ -68,6 +69,8 @@ class Target(Spec):
         wanted = 2 if self.frame == "pixels" else 3
         if not self.points:
             raise ValueError("goal: expected points, got none.")
+        if wanted == 3:
+            warn_unless_metres("goal: points", [number for point in self.points for number in point], stacklevel=4)
         for i, point in enumerate(self.points):
             if len(point) != wanted or not np.all(np.isfinite(point)):
                 raise ValueError(

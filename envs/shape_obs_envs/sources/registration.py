@@ -14,6 +14,7 @@ import numpy.typing as npt
 from numba import njit
 
 from shape_obs.camera import Intrinsics
+from shape_obs.utils.lengths import warn_unless_metres
 from shape_obs_envs.sources.rectification import Rectification, remap, remap_maps
 
 Images = tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint16]]
@@ -314,6 +315,7 @@ def check_pose(
             f"expected a rotation matrix and a finite translation in metres, got {rotation} and {translation}. "
             "librealsense lists a rotation column by column: np.reshape(extrinsics.rotation, (3, 3)).T"
         )
+    warn_unless_metres("translation", translation, most=1.0, stacklevel=4)
     turn = np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1))
     if turn > _LARGEST_TURN:
         raise ValueError(
