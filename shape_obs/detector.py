@@ -97,7 +97,7 @@ class ShapeDetector:
         compile_now(functions)
         if any(spec.lift == "cloud" for spec in self.shapes):
             import_module("shape_obs.point_cloud.deprojection")  # so that the first frame does not wait for it
-        self._units, self._clock = UnitCheck(), Clock(self.config.dt)
+        self._units, self._hints, self._clock = UnitCheck(), MaskHints(), Clock(self.config.dt)
         self.reset()
 
     def reset(self) -> None:
@@ -107,7 +107,7 @@ class ShapeDetector:
         ]
         self._units.reset()
         self._clock.reset()
-        self._hints = MaskHints()
+        self._hints = MaskHints(self._hints.looked)
         self._roi_memory: Any = None  # what a region of interest that moves remembers
         self._frames = 0
 
@@ -277,6 +277,8 @@ class ShapeDetector:
             region = search.region(rule)  # image -> region
             if region.refusal:
                 region = self._explained(region, followed, search)
+            elif search.mask is None:
+                self._hints.look_at(rule, frame)
             now = _lap(timings, "segmentation" if search.mask is None else "region", now)
             if isinstance(followed, Slots):
                 tries = followed.attempt(region, moment, scene)

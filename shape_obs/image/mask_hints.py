@@ -15,11 +15,22 @@ from shape_obs.frame import FARTHEST, MILLIMETRE, Frame
 from shape_obs.geometry.observed import MIN_SAMPLES
 from shape_obs.image.region import Region
 from shape_obs.image.roi import ROI, Window
-from shape_obs.image.segmentation import ColourRule, DepthRange, GrayRange, HSVRange, Segmentation
+from shape_obs.image.segmentation import (
+    HUES,
+    LEVELS,
+    ColourRule,
+    DepthRange,
+    GrayRange,
+    HSVRange,
+    Segmentation,
+    across_red,
+    rescaled_hues,
+)
 
 _EVERY: Final = 30  # frames between two looks at a rule: one takes some milliseconds
 _ENOUGH: Final = 4  # times the smallest object, and times what matches: so many pixels are worth a hint
 _MOST: Final = 0.5  # of the image: more are not the object
+_MORE_RED: Final = 1.3  # times as many pixels with both sides of hue 0: a part of the object is missing
 _PERCENT: Final = 100
 _PICK: Final = "`shape-obs detect IMAGE --pick u,v` proposes a segmentation from a pixel on the object"
 
@@ -43,10 +54,39 @@ _WHOLE: Final = (
 
 
 class MaskHints:
-    """Explain masks without an object, at most once in 30 frames for each rule."""
+    """Explain masks without an object, at most once in 30 frames for each rule, and find the missing part of a red one.
 
-    def __init__(self) -> None:
+    Args:
+        looked: Rules whose object was looked at already.
+    """
+
+    def __init__(self, looked: Iterable[Segmentation] = ()) -> None:
         self._known: dict[Segmentation, tuple[int, str]] = {}
+        self.looked = set(looked)
+
+    def look_at(self, rule: Segmentation | None, frame: Frame) -> None:
+        """Warn once if what a rule of reds found goes on with hues on the other side of 0.
+
+        Args:
+            rule: The rule, which found an object.
+            frame: The images.
+        """
+        if rule is None or rule in self.looked:
+            return
+        self.looked.add(rule)
+        around = across_red(rule) if isinstance(rule, HSVRange) else None
+        if around is None or not isinstance(rule, HSVRange) or frame.rgb is None:
+            return
+        found = rule.matches(frame.rgb) > 0
+        labels, stats = map(np.asarray, cv2.connectedComponentsWithStats(around.matches(frame.rgb))[1:3])
+        touched: Any = np.unique(labels[found])  # the background is 0, and not among these
+        count, whole = np.count_nonzero(found), int(stats[touched, cv2.CC_STAT_AREA].sum())
+        if whole > _MORE_RED * count:
+            warnings.warn(
+                f"{rule.label}: {count} pixels of the object match, {whole} would with a hue that wraps around: "
+                f"{_red(around)}.",
+                stacklevel=5,
+            )
 
     def explained(
         self,
@@ -120,17 +160,22 @@ def _variants(rule: Segmentation, rgb: npt.NDArray[np.uint8] | None) -> Iterator
         np.ascontiguousarray(rgb[..., ::-1]),
     )
     if isinstance(rule, HSVRange):
-        low, high = (bound[0] // 2 for bound in (rule.low, rule.high))
         text = "with {what} {{}} would: OpenCV's scale is h 0...179, s and v 0...255; give low={low}, high={high}"
-        for what, scale in (("half the hue", 1.0), ("half the hue, and s and v in percent,", 255 / _PERCENT)):
-            if scale > 1 and max(*rule.low[1:], *rule.high[1:]) > _PERCENT:
-                continue
-            bounds = [
-                (hue, *(round(scale * value) for value in bound[1:]))
-                for hue, bound in ((low, rule.low), (high, rule.high))
-            ]
-            other = replace(rule, low=bounds[0], high=bounds[1])
+        half = rescaled_hues(rule, 2 * HUES)
+        meant = [("half the hue", half), ("the hue times 180 / 256", rescaled_hues(rule, LEVELS))]
+        if max(*rule.low[1:], *rule.high[1:]) <= _PERCENT:
+            low, high = (
+                (bound[0], *(round(255 / _PERCENT * value) for value in bound[1:])) for bound in (half.low, half.high)
+            )
+            meant.insert(1, ("half the hue, and s and v in percent,", replace(half, low=low, high=high)))
+        for what, other in meant:
             yield text.format(what=what, low=other.low, high=other.high), other, rgb
+        if (around := across_red(rule)) is not None:
+            yield f"with a hue that wraps around {{}} would: {_red(around)}", around, rgb
+
+
+def _red(rule: HSVRange) -> str:
+    return f"red lies on both sides of hue 0; give low={rule.low}, high={rule.high}"
 
 
 def _depths(depth: npt.NDArray[Any]) -> str:

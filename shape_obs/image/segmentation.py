@@ -7,7 +7,7 @@ at a time compile to a table.
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
@@ -143,6 +143,8 @@ class ColourRule(Segmentation):
 
 
 HUES = 180
+_RED: Final = 10  # the hues on both sides of 0 that are red
+_WIDEST_RED: Final = 40  # hues; a wider range is not meant to be red alone
 
 
 @dataclass(frozen=True)
@@ -151,7 +153,8 @@ class HSVRange(ColourRule, kind="hsv"):
 
     Args:
         low: (h, s, v), OpenCV's scale: h 0...179, s and v 0...255.
-        high: (h, s, v). A hue below ``low``'s wraps around: red is ``low=(170, ...)``, ``high=(10, ...)``.
+        high: (h, s, v). A hue below ``low``'s wraps around: red is ``low=(170, ...)``, ``high=(10, ...)``. The 180 of
+            OpenCV's tutorials becomes 179.
     """
 
     low: tuple[int, int, int]
@@ -166,12 +169,12 @@ class HSVRange(ColourRule, kind="hsv"):
                     f"give {scaled}."
                 )
         super().__post_init__()
+        if self.high[0] == HUES:
+            object.__setattr__(self, "high", (HUES - 1, *self.high[1:]))
         for name, bound in (("low", self.low), ("high", self.high)):
             if len(bound) != 3 or any(not 0 <= value <= limit for value, limit in zip(bound, top, strict=True)):
                 text = f"hsv: {name} must be (h 0...179, s 0...255, v 0...255), got {bound}."
-                if HUES <= bound[0] <= 2 * HUES:
-                    text += f" If its hue is in degrees, give {bound[0] // 2}, half of it."
-                raise ValueError(text)
+                raise ValueError(text + _hue_hint(bound[0], name == "high"))
         for i, name in ((1, "saturation"), (2, "value")):
             if self.low[i] > self.high[i]:
                 raise ValueError(
@@ -194,6 +197,36 @@ def _from_fractions(bound: Any) -> tuple[int, ...] | None:
     if not numbers or all(float(value).is_integer() for value in values):
         return None
     return tuple(round(value * scale) for value, scale in zip(values, (HUES - 1, 255, 255), strict=True))
+
+
+def _hue_hint(hue: int, upper: bool) -> str:
+    """Return what may be meant by a hue above 179, as the end of an error message."""
+    meant = ["0, which is the same hue"] if hue == HUES else []
+    meant += [f"{HUES - 1} for no upper limit"] if upper and hue in (LEVELS - 1, 2 * HUES) else []
+    meant += [f"{_rescaled(hue, LEVELS)} if it is 0...255"] if HUES <= hue < LEVELS else []
+    meant += [f"{_rescaled(hue, 2 * HUES)} if it is in degrees"] if HUES <= hue <= 2 * HUES else []
+    return f" Of the hue give {', or '.join(meant)}." if meant else ""
+
+
+def _rescaled(hue: int, hues: int) -> int:
+    """Return a hue on a scale of so many hues on OpenCV's scale."""
+    return min(hue * HUES // hues, HUES - 1)
+
+
+def rescaled_hues(rule: HSVRange, hues: int) -> HSVRange:
+    """Return a range whose hues were on a scale of so many hues."""
+    low, high = ((_rescaled(bound[0], hues), *bound[1:]) for bound in (rule.low, rule.high))
+    return replace(rule, low=low, high=high)
+
+
+def across_red(rule: HSVRange) -> HSVRange | None:
+    """Return a range of reds that ends at hue 0 or 179 as one that wraps around; None for other colours."""
+    low, high = rule.low[0], rule.high[0]
+    if low > high or high - low >= _WIDEST_RED:
+        return None
+    if low <= _RED:
+        return replace(rule, low=(HUES - _RED, *rule.low[1:]))
+    return replace(rule, high=(_RED, *rule.high[1:])) if high >= HUES - 1 - _RED else None
 
 
 def _in_range(hsv: npt.NDArray[Any], low: tuple[int, int, int], high: tuple[int, int, int]) -> npt.NDArray[np.uint8]:

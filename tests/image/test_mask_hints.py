@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import warnings
+
 import numpy as np
 import pytest
 
@@ -46,10 +49,51 @@ def test_a_hue_in_degrees_and_gray_from_0_to_1(blue, wave):
     )
 
 
+def test_the_upper_bounds_of_tutorials():
+    assert HSVRange((170, 100, 60), (180, 255, 255)) == HSVRange((170, 100, 60), (179, 255, 255))
+    with pytest.raises(ValueError, match="179 for no upper limit"):
+        HSVRange((100, 100, 60), (255, 255, 255))
+
+
+def test_a_hue_from_0_to_255(blue, wave):
+    green, count = painted(blue, (40, 180, 60)), np.count_nonzero(wave.mask)  # hue 64 of 180, 91 of 256
+    message = f"with the hue times 180 / 256 {count} would: .* give low=\\(59, 100, 60\\), high=\\(70, 255, 255\\)"
+    assert re.search(message, reason_of(HSVRange((85, 100, 60), (100, 255, 255)), green))
+
+
+@pytest.mark.parametrize(
+    ("colour", "low", "high", "around"),
+    [
+        ((200, 30, 60), (0, 100, 60), (10, 255, 255), "low=(170, 100, 60), high=(10, 255, 255)"),  # hue 175
+        ((200, 60, 30), (165, 100, 60), (179, 255, 255), "low=(165, 100, 60), high=(10, 255, 255)"),  # hue 5
+    ],
+)
+def test_red_on_the_other_side_of_0(blue, wave, colour, low, high, around):
+    red, count = painted(blue, colour), np.count_nonzero(wave.mask)
+    reason = reason_of(HSVRange(low, high), red)
+    assert f"with a hue that wraps around {count} would: red lies on both sides of hue 0; give {around}" in reason
+
+
+def test_half_a_red_rope_is_noticed_once(blue, wave):
+    left = np.arange(blue.shape[1])[None, :, None] < 160
+    red = np.where(left, painted(blue, (200, 30, 60)), painted(blue, (200, 60, 30))).astype(np.uint8)
+    detector = ShapeDetector(segmentation=HSVRange((0, 100, 60), (10, 255, 255)))
+    with pytest.warns(UserWarning, match=r"would with a hue that wraps around: .*give low=\(170, 100, 60\)"):
+        detector.detect(red)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        detector.reset()
+        detector.detect(red)
+        ShapeDetector(segmentation=HSVRange((170, 100, 60), (10, 255, 255))).detect(red)
+        ShapeDetector(segmentation=HSVRange((0, 100, 60), (10, 255, 255))).detect(painted(blue, (200, 60, 30)))
+
+
 @pytest.mark.parametrize(
     ("low", "message"),
     [
-        ((220, 100, 60), r"got \(220, 100, 60\). If its hue is in degrees, give 110, half of it."),
+        ((220, 100, 60), r"got \(220, 100, 60\). Of the hue give 154 if it is 0...255, or 110 if it is in degrees."),
+        ((180, 100, 60), r"got \(180, 100, 60\). Of the hue give 0, which is the same hue, or 126 .* or 90 "),
+        ((300, 100, 60), r"got \(300, 100, 60\). Of the hue give 150 if it is in degrees."),
         ((0.6, 0.4, 0.2), r"got \(0.6, 0.4, 0.2\). If that is 0...1, give \(107, 102, 51\)."),
         ([0.5, 1, 1], r"got \(0.5, 1, 1\). If that is 0...1, give \(90, 255, 255\)."),
     ],
