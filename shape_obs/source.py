@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
 from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
-from shape_obs.utils.errors import run_last
+from shape_obs.utils.errors import UsageError, run_last
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -61,6 +61,10 @@ class NotConnected(SourceError):  # noqa: N818
 
 class BadRecording(SourceError):  # noqa: N818
     """A file or folder is not a readable recording, or is incomplete."""
+
+
+class BadSettings(SourceError, UsageError):  # noqa: N818
+    """A source does not take an argument, or not this value of it."""
 
 
 class EndOfSource(SourceError):  # noqa: N818

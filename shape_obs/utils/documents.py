@@ -15,7 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
-from shape_obs.utils.errors import SpecError, did_you_mean
+from shape_obs.utils.errors import SpecError, did_you_mean, hint_at_argument
 
 #: Largest nesting of lists and mappings; the files of this package have at most a dozen levels.
 DEEPEST: Final = 64
@@ -215,7 +215,8 @@ def make_named(text: str, what: str, arguments: Mapping[str, Any] | None = None)
     try:
         return maker(**(arguments or {}))
     except TypeError as error:
-        raise ValueError(f"{what}: {text} does not take {dict(arguments or {})}: {error}") from error
+        hint = hint_at_argument(error, maker)
+        raise ValueError(f"{what}: {text} does not take {dict(arguments or {})}: {error}{hint}") from error
 
 
 def is_of_script(path: str) -> bool:

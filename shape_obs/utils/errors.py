@@ -108,6 +108,26 @@ def hint_at_extra(error: Exception) -> str:
     return f": {install_hint(extra)}" if extra else ""
 
 
+def hint_at_argument(error: BaseException, *makers: Any) -> str:
+    """Return the arguments that classes or functions take, as the end of an error about an unknown one; else empty.
+
+    Args:
+        error: What calling one of them raised.
+        makers: The classes, with their base classes, and functions.
+    """
+    import inspect  # only errors need it
+    import re
+
+    unknown = re.search(r"unexpected keyword argument '(\w+)'", str(error))
+    if not unknown:
+        return ""
+    calls = [each for maker in makers for each in (maker.__mro__[:-1] if isinstance(maker, type) else [maker])]
+    calls = [vars(each).get("__init__") if isinstance(each, type) else each for each in calls]
+    taken = [one for each in calls if callable(each) for one in inspect.signature(each).parameters.values()]
+    names = [one.name for one in taken if one.kind in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY)]
+    return did_you_mean(unknown[1], [name for name in dict.fromkeys(names) if name != "self"])
+
+
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """Return the end of an error message about an unknown name: ``"; did you mean 'x'? Known: ..."``."""
     import difflib  # only errors need it

@@ -15,6 +15,8 @@ from shape_obs.cli import main
 from shape_obs.recording import Moment, Recording, RecordingWriter, ShapeTable
 
 BLUE = {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}
+ENV = "record --source ShapeObs/Cable-v0 -o new --set renderer=rays"
+SEEDS = ("'abc'", "-1", "1.5", "True")
 CABLE = ["--set", "actions=random", "seed=2", "renderer=rays", "camera=[96, 72]"]
 
 
@@ -153,10 +155,21 @@ def test_an_interrupted_recording_is_replayed_with_a_word_about_it(place, record
         ("replay ShapeObs/Cable-v0 --config space.yaml", 2, "ShapeObs/Cable-v0 never ends: give --frames N"),
         ("record --source rope.avi -o new --depth yes", 1, "rope.avi has no depth to record"),
         ("record --source photos -o new --seconds 1", 1, "its frames have no stamps"),
+        *((f"{ENV} seed={seed}", 2, f"seed: expected a whole number, 0 or more, got {seed}") for seed in SEEDS),
+        (f"{ENV} render_mode=human", 1, "there is no display"),
+        (f"{ENV} render_mode=x", 2, "render_mode: expected one of None, 'rgb_array'"),
+        (f"{ENV} render_mode=1", 2, "'int' object has no attribute"),
+        (f"{ENV} rederer=rays", 2, "unexpected keyword argument 'rederer'; did you mean 'renderer'?"),
+        (f"{ENV} max_episode_steps=abc", 2, "`max_episode_steps` to be an integer"),
+        ("record --source ShapeObs/D455-v0 -o new --set rate=abc", 2, "rate: expected steps per second above 0"),
+        ("record --source ShapeObs/D455-v0 -o new --set size=5", 2, "size: expected [width, height]"),
+        ("record --source d455 -o new --set expsure=1", 2, "did you mean 'exposure'?"),
     ],
 )
 def test_bad_input_gets_one_clear_line(place, run, monkeypatch, arguments, code, message):
     monkeypatch.chdir(place)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
     before = sorted(place.rglob("*"))
     ended, out, err = run(*arguments.split())
     (line,) = [line for line in err.replace("\r", "\n").splitlines() if line.startswith("shape-obs")]

@@ -128,11 +128,13 @@ class D455Env(gym.Env[Any, Any]):
         clock: Clock = CLOCK,
     ) -> None:
         self.render_mode = one_of("render_mode", render_mode, (None, "rgb_array"))
-        self.clock, self.rate = clock, Rate(rate, clock)
+        self.clock, self.rate = clock, Rate(positive("rate", rate, "30", "steps per second"), clock)
         self.metadata = {**type(self).metadata, "render_fps": rate}
-        if settle is not None and not 0 <= settle < 10:
+        if settle is not None and not (isinstance(settle, (int, float)) and 0 <= settle < 10):
             raise ValueError(f"settle: expected seconds from 0 to below 10, or None, got {settle!r}.")
         self.settle, self.max_age = settle, positive("max_age", max_age, "0.2", "seconds")
+        if np.shape(size) != (2,):
+            raise ValueError(f"size: expected [width, height] in pixels, got {size!r}.")
         width, height = (count("size", side, 16, 4096) for side in size)
         self.robot = make_named(robot, "robot", robot_arguments) if isinstance(robot, str) else robot
         self.source = open_frame_source(source, self.robot, (width, height), extrinsics)

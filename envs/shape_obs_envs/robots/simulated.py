@@ -15,6 +15,7 @@ import numpy.typing as npt
 from shape_obs.camera import CameraModel
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.robot import ActionSpec, RobotError
+from shape_obs_envs.arguments import count
 from shape_obs_envs.robots.frame_publisher import Faults, FramePublisher, SimulationSpec, Started, check_occluder
 from shape_obs_envs.robots.null import checked_motion
 from shape_obs_envs.robots.simulation_loop import Ramp, RealtimeSimulation
@@ -85,6 +86,8 @@ class SimulatedRobot:
             raise ValueError(f"fps: expected 1 to 90 frames per second, got {fps}.")
         if not 0 < ramp < 10:
             raise ValueError(f"ramp: expected seconds above 0 and below 10, got {ramp}.")
+        if seed is not None:
+            seed = count("seed", seed, 0)
         self._ramp_seconds = float(ramp)
         self._model = RealtimeSimulation(env, **options)  # for its metadata and goals only; it does not run
         self.camera = SoftwareD455(fps=round(fps)) if camera is None else camera

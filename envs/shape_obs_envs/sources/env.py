@@ -11,15 +11,18 @@ from typing import Any, Literal
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import load_env_creator
 
 from shape_obs.camera import CameraModel
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
 from shape_obs.recording import RobotInfo, Transition
 from shape_obs.recording.format import plain
-from shape_obs.source import SourceError
+from shape_obs.source import BadSettings, SourceError
+from shape_obs.utils.errors import hint_at_argument
 from shape_obs.wrappers import env_protocol
 from shape_obs.wrappers.env_images import Images, Key
+from shape_obs_envs.arguments import count
 from shape_obs_envs.sources.sequence import SequenceSource
 
 Actions = Literal["zero", "random"] | Callable[[Any], Any]
@@ -48,7 +51,8 @@ class EnvSource(SequenceSource):
 
     Raises:
         SourceError: By ``connect``: the environment cannot be made, or its observation has no image.
-        ValueError: ``actions`` is invalid, or options were given with an existing environment.
+        BadSettings: By ``connect``: the environment does not take one of the options.
+        ValueError: ``actions`` or ``seed`` is invalid, or options were given with an existing environment.
 
     Example:
         >>> with EnvSource("shape_obs_envs:ShapeObs/Cable-v0", actions="random", seed=0) as source:  # doctest: +SKIP
@@ -73,6 +77,8 @@ class EnvSource(SequenceSource):
         super().__init__(env if isinstance(env, str) else str(env.spec.id if env.spec else env), extrinsics)
         if actions not in ("zero", "random") and not callable(actions):
             raise ValueError(f"actions: expected 'zero', 'random' or a function, got {actions!r}.")
+        if seed is not None:
+            seed = count("seed", seed, 0)
         if options and not isinstance(env, str):
             raise ValueError(f"{self.name} is an existing environment and does not take {sorted(options)}.")
         self._given, self._options, self._keys = env, options, (rgb_key, depth_key)
@@ -134,7 +140,10 @@ class EnvSource(SequenceSource):
         env = self._connected_env()
         if self._over:
             self._episode += 1
-            self._observation, info = env.reset(seed=self._seed if self._episode == 0 else None)
+            try:
+                self._observation, info = env.reset(seed=self._seed if self._episode == 0 else None)
+            except (gym.error.Error, RuntimeError) as error:
+                raise SourceError(f"{self.name}: the environment cannot be reset: {error}") from error
             self._over, self.transition = False, Transition(0)
             self._clock.now += self._clock.dt if self._episode else 0.0
         else:
@@ -176,13 +185,26 @@ class EnvSource(SequenceSource):
             return self._given
         try:
             return gym.make(self._given, **self._options)
-        except (gym.error.Error, ImportError, TypeError, ValueError) as error:
-            raise SourceError(f"{self._given}: the environment cannot be made: {error}") from error
+        except Exception as error:  # environments raise anything about their arguments
+            kind = SourceError if not self._options or isinstance(error, (ImportError, RuntimeError)) else BadSettings
+            told = error.__cause__ or error  # Gymnasium repeats the arguments in a message of its own
+            name = "" if isinstance(told, (ValueError, TypeError, gym.error.Error)) else f"{type(told).__name__}: "
+            hint = hint_at_argument(told, EnvSource, _class_of(self._given))
+            raise kind(f"{self._given}: the environment cannot be made: {name}{told}{hint}") from error
 
     def _connected_env(self) -> gym.Env[Any, Any]:
         self._check_connected()
         assert self._env is not None
         return self._env
+
+
+def _class_of(env_id: str) -> Any:
+    """Return the class or function that makes an environment; None if there is none."""
+    try:
+        entry = gym.spec(env_id).entry_point
+        return load_env_creator(entry) if isinstance(entry, str) else entry
+    except (gym.error.Error, ImportError, AttributeError):
+        return None
 
 
 @singledispatch

@@ -13,6 +13,7 @@ from shape_obs.extrinsics import Extrinsics
 from shape_obs.source import BadRecording, CameraNotFound, RGBDSource, SourceError, check_source
 from shape_obs.spec import did_you_mean
 from shape_obs.utils.documents import make_named
+from shape_obs.utils.errors import hint_at_argument
 
 #: Suffixes of librealsense's recordings.
 RECORDINGS: Final = (".db3", ".bag")
@@ -155,7 +156,8 @@ def _realsense(word: str, extrinsics: Any, options: Mapping[str, Any], **own: An
     try:
         return RealSenseSource(extrinsics=extrinsics, **{**own, **options})
     except TypeError as error:
-        raise ValueError(f"{word}: a RealSenseSource does not take {sorted(options)}: {error}") from error
+        hint = hint_at_argument(error, RealSenseSource)
+        raise ValueError(f"{word}: a RealSenseSource does not take {sorted(options)}: {error}{hint}") from error
 
 
 def _make(
@@ -164,4 +166,5 @@ def _make(
     try:
         return kind(what, extrinsics, **options)
     except TypeError as error:
-        raise ValueError(f"{word or what}: a {kind.__name__} does not take {sorted(options)}: {error}") from error
+        hint = hint_at_argument(error, kind)
+        raise ValueError(f"{word or what}: a {kind.__name__} does not take {sorted(options)}: {error}{hint}") from error
