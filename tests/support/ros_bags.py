@@ -73,6 +73,29 @@ def camera_info(
     )
 
 
+def write_ros1_bag(path: Path, messages: list[tuple[str, float, Any]]) -> Path:
+    """Write the same messages as ROS 1 does: the names of the matrices of a ``CameraInfo`` are capital letters."""
+    from rosbags.rosbag1 import Writer as Ros1Writer
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+
+    def of_ros1(message: Any) -> Any:
+        if not hasattr(message, "__msgtype__") or message.__msgtype__ not in store.types:
+            return message
+        made: Any = store.types[message.__msgtype__]
+        given = {name.lower(): of_ros1(value) for name, value in vars(message).items()}
+        return made(**{name: given.get(name.lower(), 0) for name in made.__dataclass_fields__ if name != "__msgtype__"})
+
+    with Ros1Writer(path) as writer:
+        connections: dict[str, Any] = {}
+        for topic, logged, message in messages:
+            kind = message.__msgtype__
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(connections[topic], round(logged * 1e9), store.serialize_ros1(of_ros1(message), kind))
+    return path
+
+
 def write_bag(path: Path, messages: list[tuple[str, float, Any]], storage: str = "mcap") -> Path:
     """Write (topic, time of recording in seconds, message) to a rosbag2 folder; return its ``.mcap`` or ``.db3``."""
     plugin = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}[storage]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import sqlite3
 from collections.abc import Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,6 +23,8 @@ RECORDINGS: Final = (".db3", ".bag")
 MCAP: Final = ".mcap"
 #: The file that makes a folder a rosbag2.
 ROSBAG2: Final = "metadata.yaml"
+#: The topic in which librealsense stores the version of its recordings.
+_VERSION: Final = "/file_version"
 _ENV_ID: Final = re.compile(r"(?:[\w.]+:)?(?:[\w.-]+/)?[\w.-]+-v\d+")
 _REALSENSE: Final = re.compile(r"(?P<model>d4\d\d)(?::(?P<serial>[\w-]+))?", re.IGNORECASE)
 _WEBCAM: Final = re.compile(r"webcam(?::(?P<device>.+))?")
@@ -47,7 +51,7 @@ def open_source(
     Args:
         text: A camera: ``d455``, ``d435``, ``d405``, ... or ``d400`` for any RealSense camera of that series, with
             several of them ``d455:SERIAL``; ``webcam:0``, ``webcam:/dev/video2`` or ``webcam:rtsp://...`` for what
-            OpenCV opens. A recording: a ``.db3`` or ``.bag`` file that librealsense recorded, an ``.mcap`` file or a
+            OpenCV opens. A recording: a ``.db3`` or ``.bag`` file of librealsense or ROS, an ``.mcap`` file or a
             rosbag2 folder, a folder (of photos, or written by ``shape-obs record``), a video file. A class of your own,
             ``module:Class``, whose objects are an ``RGBDSource``. The id of an environment (``ShapeObs/Cable-v0``,
             ``their_module:TheirEnv-v1``).
@@ -80,12 +84,32 @@ def open_source(
     if path.suffix.lower() in RECORDINGS and path.is_file():
         if path.with_name(ROSBAG2).is_file():
             raise BadRecording(f"{path} is part of a rosbag2: give its folder, {path.absolute().parent}.")
+        if _is_of_ros(path):
+            from shape_obs_envs.sources.rosbag import RosbagSource
+
+            return _make(RosbagSource, path, extrinsics, {**mode, **options})
         return _realsense(word, extrinsics, {**mode, **options}, recording=path)
     if mode:
         raise ValueError(
             f"{word}: {', '.join(mode)} are settings of a camera; this source has its own size and frame rate."
         )
     return _recording(word, path, extrinsics, options)
+
+
+def _is_of_ros(path: Path) -> bool:
+    """Return whether ROS recorded a .db3 or .bag file, and not librealsense, which stores a version of its own."""
+    try:
+        if path.suffix.lower() == ".db3":
+            with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
+                topics = {name for (name,) in database.execute("SELECT name FROM topics")}
+        else:
+            from rosbags.rosbag1 import Reader
+
+            with Reader(path) as reader:
+                topics = set(reader.topics)
+    except Exception:  # noqa: BLE001 - not installed, or a damaged file, whose reader explains what is wrong
+        return False
+    return bool(topics) and _VERSION not in topics
 
 
 def takes_size(text: str) -> bool:

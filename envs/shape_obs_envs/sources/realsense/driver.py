@@ -92,6 +92,12 @@ def shared_modes(device: Any) -> list[Mode]:
     return sorted(set.intersection(*modes.values()))
 
 
+def recorded_streams(device: Any) -> list[str]:
+    """Return the names of the streams of an ``rs.device`` that plays a recording, such as ``["color", "gyro"]``."""
+    profiles = [profile for sensor in device.query_sensors() for profile in sensor.get_stream_profiles()]
+    return sorted({profile.stream_type().name for profile in profiles})
+
+
 @dataclass(frozen=True)
 class Identity:
     """Name, serial number and USB type of a camera, as far as it reports them; used in messages."""
@@ -124,6 +130,18 @@ class Identity:
         return f"{self.name} {self.serial or 'without a serial number'}{usb}"
 
 
+def lens_of(profile: Any, stream: Any) -> Intrinsics:
+    """Return the intrinsics of a video stream of a ``pipeline_profile``.
+
+    Raises:
+        SourceError: The lens model is not supported.
+    """
+    try:
+        return as_intrinsics(profile.get_stream(stream).as_video_stream_profile())
+    except ValueError as error:
+        raise SourceError(str(error)) from error
+
+
 @dataclass(frozen=True)
 class Geometry:
     """Lenses and relative pose of the two streams of a camera.
@@ -152,17 +170,11 @@ class Geometry:
         Raises:
             SourceError: The lens model is not supported, or there is no depth sensor.
         """
-        rs = librealsense()
-        colour, depth = (
-            profile.get_stream(stream).as_video_stream_profile() for stream in (rs.stream.color, rs.stream.depth)
-        )
-        pose = depth.get_extrinsics_to(colour)
-        try:
-            lenses = as_intrinsics(colour), as_intrinsics(depth)
-        except ValueError as error:
-            raise SourceError(str(error)) from error
+        streams = librealsense().stream
+        pose = profile.get_stream(streams.depth).get_extrinsics_to(profile.get_stream(streams.color))
         return cls(
-            *lenses,
+            lens_of(profile, streams.color),
+            lens_of(profile, streams.depth),
             # librealsense stores matrices column by column
             rotation=np.round(np.reshape(pose.rotation, (3, 3)), _ROTATION_DIGITS).T,
             translation=np.round(pose.translation, _TRANSLATION_DIGITS),

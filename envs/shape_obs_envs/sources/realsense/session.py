@@ -15,7 +15,14 @@ import numpy.typing as npt
 
 from shape_obs.source import BadRecording, SourceError
 from shape_obs_envs.sources.realsense.devices import Device
-from shape_obs_envs.sources.realsense.driver import Geometry, Identity, librealsense, shared_modes
+from shape_obs_envs.sources.realsense.driver import (
+    Geometry,
+    Identity,
+    lens_of,
+    librealsense,
+    recorded_streams,
+    shared_modes,
+)
 from shape_obs_envs.sources.realsense.settings import CameraOptions, DepthFilters, Filter
 
 #: Largest gap between the images of a pair, in frame intervals. Two free-running cameras are at most half an interval
@@ -30,11 +37,11 @@ _LONGEST_WAIT: Final = 5.0
 
 @dataclass(frozen=True)
 class RawFrame:
-    """A colour and a depth image of the same moment, as the sensors delivered them.
+    """A colour image and the depth image of the same moment, if there is one, as the sensors delivered them.
 
     Args:
         colour: Image of shape ``(H, W, 3)``, uint8 RGB, with the lens distortion.
-        depth: Image of shape ``(H, W)``, uint16 in the camera's depth unit, seen from the depth camera.
+        depth: Image of shape ``(H, W)``, uint16 in the camera's depth unit, seen from the depth camera; None without.
         stamp: Time of the colour image in seconds, by the camera's clock.
         received: When the pair reached this machine: ``time.monotonic()`` in seconds.
         exposed: Earliest start of its exposure: ``time.monotonic()`` in seconds.
@@ -42,7 +49,7 @@ class RawFrame:
     """
 
     colour: npt.NDArray[np.uint8]
-    depth: npt.NDArray[np.uint16]
+    depth: npt.NDArray[np.uint16] | None
     stamp: float
     received: float
     exposed: float
@@ -60,6 +67,7 @@ class Setup:
         options: Exposure and other camera options.
         filters: Depth filters, run inside librealsense.
         max_gap: Largest time in seconds between the images of a pair; None for three quarters of the frame interval.
+        depth: Whether to read depth; None to read it if a recording has it, and from every camera.
     """
 
     width: int = 640
@@ -68,6 +76,7 @@ class Setup:
     options: CameraOptions = field(default_factory=CameraOptions)
     filters: Sequence[Filter] = ()
     max_gap: float | None = None
+    depth: bool | None = None
 
 
 class PairCheck:
@@ -87,15 +96,15 @@ class PairCheck:
 
     def __init__(self, interval: float, max_gap: float | None = None) -> None:
         self._max_gap = _MAX_GAP * interval if max_gap is None else max_gap
-        self._last: tuple[int, int] | None = None
+        self._last: tuple[int, int | None] | None = None
         self.refused, self.reason = 0, ""
 
-    def accepts(self, colour: int, depth: int, gap: float | None) -> bool:
+    def accepts(self, colour: int, depth: int | None, gap: float | None) -> bool:
         """Return whether a pair is accepted.
 
         Args:
             colour: Number of the colour frame.
-            depth: Number of the depth frame.
+            depth: Number of the depth frame; None without depth.
             gap: Time in seconds between them; None if their clocks cannot be compared.
         """
         reason = self._objection(colour, depth, gap)
@@ -105,10 +114,10 @@ class PairCheck:
         self._last, self.refused = (colour, depth), 0
         return True
 
-    def _objection(self, colour: int, depth: int, gap: float | None) -> str | None:
+    def _objection(self, colour: int, depth: int | None, gap: float | None) -> str | None:
         if self._last is not None and colour == self._last[0]:
             return "the colour image was an old one"
-        if self._last is not None and depth == self._last[1]:
+        if self._last is not None and depth is not None and depth == self._last[1]:
             return "the depth image was an old one"
         if gap is not None and gap > self._max_gap:
             return f"colour and depth were more than {1000 * self._max_gap:.0f} ms apart"
@@ -124,8 +133,10 @@ class Session:
         record_to: File to which librealsense records, or None.
 
     Attributes:
+        depth: Whether the pairs have a depth image.
         identity: Name and serial number of the camera.
-        geometry: Its lenses.
+        lens: Intrinsics of the raw colour image.
+        geometry: Its lenses; None without depth.
         check: Refuses pairs whose images do not belong together.
 
     Raises:
@@ -140,7 +151,19 @@ class Session:
         # A new config each time: a config remembers the device with which it was resolved.
         config, self._pipeline = rs.config(), rs.pipeline(rs.context())
         mode = (setup.width, setup.height) if device.live else ()
-        for stream, pixels in ((rs.stream.depth, rs.format.z16), (rs.stream.color, rs.format.rgb8)):
+        streams = {rs.stream.color: rs.format.rgb8, rs.stream.depth: rs.format.z16}
+        self.depth = setup.depth is not False
+        if not device.live:
+            recorded = recorded_streams(handle)
+            self.depth = self.depth and (setup.depth is True or "depth" in recorded)
+            if missing := {"color", *(["depth"] if self.depth else [])} - set(recorded):
+                raise BadRecording(
+                    f"{device.name}: expected a recording with {' and '.join(sorted(missing))}, it has "
+                    f"{', '.join(recorded) or 'no streams'}."
+                )
+        if not self.depth:
+            del streams[rs.stream.depth]
+        for stream, pixels in streams.items():
             config.enable_stream(stream, *((*mode, pixels, setup.fps) if mode else ()))
         if record_to is not None:
             config.enable_record_to_file(str(record_to))
@@ -154,7 +177,8 @@ class Session:
         self.interval = 1 / profile.get_stream(rs.stream.color).fps()
         self.check = PairCheck(self.interval, setup.max_gap)
         try:
-            self.geometry = Geometry.of(profile)
+            self.lens = lens_of(profile, rs.stream.color)
+            self.geometry = Geometry.of(profile) if self.depth else None
         except SourceError:
             self.stop()
             raise
@@ -188,31 +212,36 @@ class Session:
 
     def _pair(self, frames: Any) -> RawFrame | None:
         now = time.monotonic()
-        colour, depth = frames.get_color_frame(), frames.get_depth_frame()
-        if not colour or not depth:
+        colour, depth = frames.get_color_frame(), frames.get_depth_frame() if self.depth else None
+        if not colour or (self.depth and not depth):
             return None
-        numbers = int(colour.get_frame_number()), int(depth.get_frame_number())
-        if not self.check.accepts(*numbers, _gap(colour, depth)):
+        number = int(colour.get_frame_number())
+        if depth is None:
+            accepted = self.check.accepts(number, None, None)
+        else:
+            accepted = self.check.accepts(number, int(depth.get_frame_number()), _gap(colour, depth))
+        if not accepted:
             return None
         received = _arrival(colour, now) if self._live else now
         return RawFrame(
             colour=_colour_image(colour),
-            depth=np.array(np.asanyarray(self._filter(depth).get_data()), np.uint16),
+            depth=None if depth is None else np.array(np.asanyarray(self._filter(depth).get_data()), np.uint16),
             stamp=colour.get_timestamp() / 1000,
             received=received,
             exposed=_exposure_start(colour, depth, received, self.interval, self._latency),
-            number=numbers[0],
+            number=number,
         )
 
     def _start_error(self, error: RuntimeError, handle: Any, setup: Setup, device: Device) -> SourceError:
         who, reason = self.identity, str(error)
         if not device.live:
-            return BadRecording(f"{device.name}: expected a recording with a colour and a depth stream. ({reason})")
+            return BadRecording(f"{device.name}: its streams cannot be played. ({reason})")
         if "resolve" in reason:
             advice = " It is on USB 2, where many modes are missing: use a USB 3 port and cable." if who.slow else ""
             modes = ", ".join(f"{width} x {height} at {fps}" for width, height, fps in shared_modes(handle))
             message = (
-                f"{who} has no {setup.width} x {setup.height} at {setup.fps} frames per second for colour and depth; "
+                f"{who} has no {setup.width} x {setup.height} at {setup.fps} frames per second for "
+                f"{'colour' if setup.depth is False else 'colour and depth'}; "
                 f"it has {modes or 'none for both'}.{advice}"
             )
         elif any(word in reason.lower() for word in ("busy", "is streaming", "power state", "claim", "already")):
@@ -264,13 +293,13 @@ def _exposure_start(colour: Any, depth: Any, received: float, interval: float, l
 
     Args:
         colour: The colour frame.
-        depth: The depth frame.
+        depth: The depth frame; None without depth.
         received: Arrival of the pair, ``time.monotonic()``.
         interval: Time between frames in seconds.
         latency: Largest time in seconds from the start of the exposure to the arrival; None for two intervals.
     """
     rs = librealsense()
-    frames = ((colour, _COLOUR_EXPOSURE_UNIT), (depth, _DEPTH_EXPOSURE_UNIT))
+    frames = [(colour, _COLOUR_EXPOSURE_UNIT), *([] if depth is None else [(depth, _DEPTH_EXPOSURE_UNIT)])]
     if any(frame.get_frame_timestamp_domain() != rs.timestamp_domain.global_time for frame, _ in frames):
         return received - (2 * interval if latency is None else latency)
     to_monotonic = time.monotonic() - time.time()

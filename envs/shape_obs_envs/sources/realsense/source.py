@@ -22,6 +22,7 @@ from shape_obs_envs.sources.realsense.frame_streams import FileStream, FrameStre
 from shape_obs_envs.sources.realsense.session import RawFrame, Session, Setup
 from shape_obs_envs.sources.realsense.settings import CameraOptions, Filter, check_filters
 from shape_obs_envs.sources.realsense.software import SoftwareD455
+from shape_obs_envs.sources.rectification import Rectification
 from shape_obs_envs.sources.registration import Registration
 
 #: The models of cameras that ``RealSenseSource`` reads.
@@ -47,6 +48,7 @@ class RealSenseSource(Source):
     Args:
         device: A ``SoftwareD455``, or several of which ``serial`` selects one; None for a camera on USB.
         serial: Serial number of the camera; None for the only one.
+        depth: Whether to read depth; None to read it from every camera, and from a recording that has it.
         model: Which of several cameras on USB to use: ``"d455"``, ``"d435"``, ``"d405"``, ...; ``"d400"`` for any. A
             single camera is used whatever its model. It is the source's ``kind``.
         recording: A .db3 or .bag file to read instead of a camera.
@@ -94,6 +96,7 @@ class RealSenseSource(Source):
         serial: str | int | None = None,
         model: str = "d455",
         recording: str | Path | None = None,
+        depth: bool | None = None,
         width: int = 640,
         height: int = 480,
         fps: int = 30,
@@ -121,7 +124,7 @@ class RealSenseSource(Source):
         check_filters(filters)
         self.options = CameraOptions(exposure, gain, white_balance, laser_power, preset)
         mode = count("width", width, 1), count("height", height, 1), count("fps", fps, 1)
-        self._setup = Setup(*mode, self.options, tuple(filters), max_gap)
+        self._setup = Setup(*mode, self.options, tuple(filters), max_gap, depth)
         self._device = _device(device, None if serial is None else str(serial), recording, model.lower())
         self._record_to = None if record_to is None else Path(record_to)
         self._buffer, self._patience, self._recover_timeout = buffer, patience, recover_timeout
@@ -153,8 +156,11 @@ class RealSenseSource(Source):
 
     @property
     def has_depth(self) -> bool:
-        """True."""
-        return True
+        """Whether frames have depth; of a recording it is known once it is connected, unless it was asked for."""
+        if self._setup.depth is None and not self.live:
+            self._connected()
+            return self._registration is not None
+        return self._setup.depth is not False
 
     @property
     def dropped(self) -> int:
@@ -169,7 +175,7 @@ class RealSenseSource(Source):
             NotConnected: ``connect`` has not been called.
         """
         self._connected()
-        return self._register.output
+        return self._rectification.output
 
     def connect(self) -> None:
         """Find the camera or file and start it, unless it is already running.
@@ -253,7 +259,8 @@ class RealSenseSource(Source):
         session = Session(self._device, self._setup, self._next_file())
         self._identity, geometry = session.identity, session.geometry
         if self._runs == 0:
-            self._register = Registration(
+            self._rectification = Rectification.of(session.lens)
+            self._registration = geometry and Registration(
                 geometry.colour, geometry.depth, geometry.rotation, geometry.translation, geometry.depth_unit
             )
         self._runs += 1
@@ -277,12 +284,16 @@ class RealSenseSource(Source):
         with self._lock:
             if self._last is None or self._last[0] is not raw:
                 begin = time.perf_counter()
-                rgb, depth = self._register(raw.colour, raw.depth)
+                if self._registration is None or raw.depth is None:
+                    rgb, depth = self._rectification.colour(raw.colour), None
+                else:
+                    rgb, depth = self._registration(raw.colour, raw.depth)
                 self.timings = {"register": 1e3 * (time.perf_counter() - begin)}
                 self._last = raw, rgb, depth
             _, rgb, depth = self._last
             exposed = raw.exposed if self.live else None
-            return Frame(rgb.copy(), depth.copy(), self._model, raw.stamp, raw.received, raw.number, exposed)
+            depth = None if depth is None else depth.copy()
+            return Frame(rgb.copy(), depth, self._model, raw.stamp, raw.received, raw.number, exposed)
 
 
 def _device(

@@ -24,6 +24,9 @@ _COLOURS: Final[dict[str, tuple[int, int | None]]] = {
     "bgr8": (3, cv2.COLOR_BGR2RGB),
     "rgba8": (4, cv2.COLOR_RGBA2RGB),
     "bgra8": (4, cv2.COLOR_BGRA2RGB),
+    # Without a name of the channels: as OpenCV, which such nodes use, and rviz have them.
+    "8UC3": (3, cv2.COLOR_BGR2RGB),
+    "8UC4": (4, cv2.COLOR_BGRA2RGB),
     "yuv422": (2, cv2.COLOR_YUV2RGB_UYVY),
     "uyvy": (2, cv2.COLOR_YUV2RGB_UYVY),
     "yuv422_yuy2": (2, cv2.COLOR_YUV2RGB_YUYV),
@@ -36,13 +39,20 @@ _COLOURS: Final[dict[str, tuple[int, int | None]]] = {
 }
 _GRAYS: Final = ("mono8", "8UC1")
 _DEPTHS: Final[dict[str, Any]] = {"16UC1": np.uint16, "mono16": np.uint16, "32FC1": np.float32}
+#: What can be read.
+ENCODINGS: Final = {"colour": (*_COLOURS, *_GRAYS), "depth": tuple(_DEPTHS)}
+#: Encodings that do not name the order of their channels.
+UNNAMED: Final = ("8UC3", "8UC4")
 _PNG: Final = b"\x89PNG"
+#: Where the header of a PNG has the bits and the kind of its pixels, in bytes from its beginning.
+_PNG_PIXELS: Final = slice(24, 26)
+_GRAY_16: Final = bytes((16, 0))
 _QUANTIZATION: Final = struct.Struct("<iff")  # before a PNG of compressedDepth: format, and two parameters
 
 
 def kind_of(message: Any) -> Kind:
     """Return what an ``Image`` or ``CompressedImage`` shows, by its encoding."""
-    encoding = _encoding(message)
+    encoding = encoding_of(message)
     if encoding in _DEPTHS:
         return "depth"
     if encoding in _GRAYS:
@@ -65,7 +75,7 @@ def read_colour(message: Any) -> npt.NDArray[np.uint8]:
     if encoding in _GRAYS:
         return np.asarray(cv2.cvtColor(_pixels(message, 1, np.uint8), cv2.COLOR_GRAY2RGB), np.uint8)
     if encoding not in _COLOURS:
-        raise ValueError(f"the encoding {encoding!r} is no colour image; expected {', '.join((*_COLOURS, *_GRAYS))}.")
+        raise ValueError(f"the encoding {encoding!r} is no colour image; expected {', '.join(ENCODINGS['colour'])}.")
     channels, conversion = _COLOURS[encoding]
     pixels = _pixels(message, channels, np.uint8)
     return pixels if conversion is None else np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
@@ -77,9 +87,9 @@ def read_depth(message: Any) -> npt.NDArray[Any]:
     Raises:
         ValueError: The encoding is not supported, or the data are damaged.
     """
-    encoding = _encoding(message)
+    encoding = encoding_of(message)
     if encoding not in _DEPTHS:
-        raise ValueError(f"the encoding {encoding!r} is no depth image; expected {', '.join(_DEPTHS)}.")
+        raise ValueError(f"the encoding {encoding!r} is no depth image; expected {', '.join(ENCODINGS['depth'])}.")
     if not hasattr(message, "format"):
         return _pixels(message, 1, _DEPTHS[encoding])
     data = message.data.tobytes()
@@ -99,11 +109,18 @@ def read_depth(message: Any) -> npt.NDArray[Any]:
     return np.where(image > 0, depth, np.nan).astype(np.float32)
 
 
-def _encoding(message: Any) -> str:
+def encoding_of(message: Any) -> str:
     """Return the encoding of the image; of a compressed one that of the image that was compressed, if it is known."""
     if not hasattr(message, "format"):
         return message.encoding
-    return message.format.split(";")[0].strip()
+    encoding = message.format.split(";")[0].strip()
+    head = bytes(message.data[: _QUANTIZATION.size + 32])
+    begin = head.find(_PNG)
+    if encoding in _DEPTHS or begin < 0 or head[begin:][_PNG_PIXELS] != _GRAY_16:
+        return encoding
+    # Some publishers write only "png": 16 bits of gray are depth, quantized if parameters stand before the PNG.
+    quantized = begin == _QUANTIZATION.size and _QUANTIZATION.unpack(head[:begin])[1] != 0
+    return "32FC1" if quantized else "16UC1"
 
 
 def _pixels(message: Any, channels: int, dtype: Any) -> npt.NDArray[Any]:

@@ -1,4 +1,4 @@
-"""A source of frames from a ROS 2 bag."""
+"""A source of frames from a ROS bag."""
 
 from __future__ import annotations
 
@@ -102,9 +102,10 @@ def read_lens(message: Any, size: tuple[int, int], rectified: bool, topic: str) 
     Raises:
         BadRecording: It describes images of another size, a part of the image, or an unknown lens.
     """
-    matrix = np.reshape(message.k, (3, 3))
-    if rectified and np.any(message.p):
-        matrix = np.reshape(message.p, (3, 4))[:, :3]
+    k, d, p = (getattr(message, name if hasattr(message, name) else name.upper()) for name in "kdp")  # ROS 1: K, D, P
+    matrix = np.reshape(k, (3, 3))
+    if rectified and np.any(p):
+        matrix = np.reshape(p, (3, 4))[:, :3]
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
         return None
     if (message.height, message.width) != size:
@@ -117,19 +118,19 @@ def read_lens(message: Any, size: tuple[int, int], rectified: bool, topic: str) 
         raise BadRecording(f"{topic}: binning and regions of interest are not supported; record the whole image.")
     fx, fy, cx, cy = (float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
     pinhole = Intrinsics(size[1], size[0], fx, fy, cx, cy)
-    if rectified or not np.any(message.d):
+    if rectified or not np.any(d):
         return Rectification(pinhole, None)
-    model, count = message.distortion_model, len(message.d)
+    model, count = message.distortion_model, len(d)
     if count not in _MODELS.get(model, ()):
         raise BadRecording(
             f"{topic}: the distortion model {model!r} with {count} coefficients is not supported, expected "
             f"{', '.join(_MODELS)}: record the rectified image (image_proc), or give its topic with color=."
         )
-    return Rectification.from_opencv(pinhole, np.asarray(message.d, np.float64), fisheye=model == _FISHEYE)
+    return Rectification.from_opencv(pinhole, np.asarray(d, np.float64), fisheye=model == _FISHEYE)
 
 
 class RosbagSource(SequenceSource):
-    """Frames of a ROS 2 bag: an ``.mcap`` file, or a rosbag2 folder (MCAP or SQLite).
+    """Frames of a ROS bag: an ``.mcap`` or ``.db3`` file, a rosbag2 folder (MCAP or SQLite), or a ``.bag`` of ROS 1.
 
     Images are paired by the stamps of their headers: a frame is a colour image with the nearest aligned depth image, at
     most half a frame away; colour images without one are left out, which leaves gaps in ``Frame.number``. Images are

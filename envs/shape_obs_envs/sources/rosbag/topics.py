@@ -1,4 +1,4 @@
-"""A bag of ROS 2 messages, and its topics of colour, aligned depth and intrinsics.
+"""A bag of ROS messages, and its topics of colour, aligned depth and intrinsics.
 
 Names of the drivers of RealSense, Orbbec, ZED, OAK and Azure Kinect cameras decide only between several candidates:
 what an image shows is read from its encoding, and whether depth is aligned from its frame and size.
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from shape_obs.source import BadRecording
 from shape_obs.spec import did_you_mean
 from shape_obs.utils.errors import install_hint
-from shape_obs_envs.sources.rosbag.images import Kind, kind_of, read_colour, read_depth
+from shape_obs_envs.sources.rosbag.images import ENCODINGS, UNNAMED, Kind, encoding_of, kind_of, read_colour, read_depth
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -44,7 +44,7 @@ class Bag:
     """An open bag.
 
     Args:
-        path: An ``.mcap`` file, or a folder with a ``metadata.yaml``.
+        path: An ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file, or a folder with a ``metadata.yaml``.
 
     Attributes:
         path: The file or folder.
@@ -64,7 +64,7 @@ class Bag:
                 f"ROS bags need the package rosbags: {install_hint('ros')}. ({error})", name="rosbags"
             ) from error
         self.path, self._damage = path, _damage()
-        with self.explained("it cannot be opened as a ROS 2 bag"):
+        with self.explained("it cannot be opened as a ROS bag"):
             # Bags of ROS before Iron do not contain the definitions of their messages; those of images never changed.
             reader: AnyReader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             reader.open()
@@ -163,12 +163,14 @@ class Candidate(NamedTuple):
     Attributes:
         topic: The topic.
         kind: What its images show.
+        encoding: Their encoding, with the reason if they cannot be decoded.
         frame: The coordinate frame of the camera, ``header.frame_id``.
         size: ``(H, W)`` of the images.
     """
 
     topic: str
     kind: Kind
+    encoding: str
     frame: str
     size: tuple[int, int]
 
@@ -216,6 +218,8 @@ def choose_topics(bag: Bag, color: str | None, depth: str | bool | None, info: s
     images = [_candidate(bag, topic) for topic, kind in bag.types.items() if kind in (IMAGE, COMPRESSED)]
     depths = _one_transport([each for each in images if each.kind == "depth"])
     colour = _given(bag, images, "color", color) if color else _find_colour(bag, images, depths)
+    if colour.encoding in UNNAMED:
+        _warn(f"{bag.path}: {colour.topic} does not name its channels ({colour.encoding}); they are taken as BGR.")
     chosen = None
     if depth is None:
         chosen = _find_depth(bag, depths, colour)
@@ -237,22 +241,22 @@ def choose_topics(bag: Bag, color: str | None, depth: str | bool | None, info: s
 
 def _candidate(bag: Bag, topic: str) -> Candidate:
     message = bag.first(topic)
-    kind, size = kind_of(message), (0, 0)
+    kind, encoding, size = kind_of(message), encoding_of(message), (0, 0)
     if hasattr(message, "format"):
         try:
             size = (read_depth(message) if kind == "depth" else read_colour(message)).shape[:2]
-        except ValueError:  # such as a video codec
-            kind = "other"
+        except ValueError as error:  # such as a video codec
+            kind, encoding = "other", f"{encoding} ({str(error).rstrip('.')})"
     else:
         size = int(message.height), int(message.width)
-    return Candidate(topic, kind, message.header.frame_id, size)
+    return Candidate(topic, kind, encoding, message.header.frame_id, size)
 
 
 def _find_colour(bag: Bag, images: list[Candidate], depths: list[Candidate]) -> Candidate:
     found = [each for each in images if each.kind == "colour"] or [each for each in images if each.kind == "gray"]
-    found = _one_transport(found)
+    found = _prefer(_one_transport(found), lambda each: each.encoding not in UNNAMED)
     if not found:
-        raise BadRecording(f"{bag.path}: no topic with colour images{_known(bag)}")
+        raise BadRecording(f"{bag.path}: no topic with colour images; it has {_content(bag, images)}.")
     found = _prefer(found, lambda each: any(part in _COLOUR_NAMES for part in each.topic.split("/")))
     found = _prefer(found, lambda each: any(_is_aligned(depth, each) for depth in depths))
     found = _prefer(found, lambda each: each.rectified)
@@ -307,10 +311,16 @@ def _find_info(bag: Bag, colour: Candidate) -> str | None:
 
 
 def _given(bag: Bag, images: list[Candidate], name: str, topic: str) -> Candidate:
-    for each in images:
-        if each.topic == topic and (each.kind == "depth") == (name == "depth") and each.kind != "other":
-            return each
-    raise BadRecording(f"{bag.path}: {name}: no such images in {topic}{_known(bag, topic)}")
+    chosen = next((each for each in images if each.topic == topic), None)
+    if chosen is None:
+        raise BadRecording(f"{bag.path}: {name}: no images in {topic}{_known(bag, topic)}")
+    wanted = ("depth",) if name == "depth" else ("colour", "gray")
+    if chosen.kind not in wanted:
+        supported = f"expected {', '.join(ENCODINGS[wanted[0]])}, or these compressed"
+        raise BadRecording(
+            f"{bag.path}: {name}: the images in {topic} have the encoding {chosen.encoding}; {supported}."
+        )
+    return chosen
 
 
 def _is_aligned(depth: Candidate, colour: Candidate) -> bool:
@@ -330,11 +340,15 @@ def _prefer(found: list[Candidate], condition: Callable[[Candidate], bool]) -> l
     return [each for each in found if condition(each)] or found
 
 
-def _known(bag: Bag, topic: str | None = None, types: Iterable[str] = (IMAGE, COMPRESSED)) -> str:
-    if topic is not None:
-        return did_you_mean(topic, [name for name, kind in bag.types.items() if kind in types])
-    listed = ", ".join(f"{name} ({kind})" for name, kind in sorted(bag.types.items()))
-    return f"; it has {listed or 'no messages'}."
+def _known(bag: Bag, topic: str, types: Iterable[str] = (IMAGE, COMPRESSED)) -> str:
+    return did_you_mean(topic, [name for name, kind in bag.types.items() if kind in types])
+
+
+def _content(bag: Bag, images: list[Candidate]) -> str:
+    """Return the topics with their types, and of images the encoding."""
+    encodings = {each.topic: f", {each.encoding}" for each in images}
+    listed = [f"{name} ({kind}{encodings.get(name, '')})" for name, kind in sorted(bag.types.items())]
+    return ", ".join(listed) or "no messages"
 
 
 def _pixels(candidate: Candidate) -> str:

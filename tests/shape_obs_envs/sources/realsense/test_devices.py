@@ -58,6 +58,24 @@ def test_a_recording_gives_the_same_frames(recorded) -> None:
                     read()
 
 
+def test_a_recording_without_depth_and_a_camera_whose_depth_is_left_out(tmp_path: Path) -> None:
+    path, device = tmp_path / f"colour{recording_suffix()}", camera()
+    with source(device, record_to=path, depth=False) as stream:
+        assert not stream.has_depth
+        for number in range(10):
+            device.push_raw(*picture(number), stamp=10 + number / 30)
+            assert stream.read(5).depth is None
+        first = _array(stream.read_latest(9).rgb)
+    for options in ({}, {"depth": False}):
+        with open_source(path, **options) as again:
+            assert not again.has_depth
+            frames = [again.read(5) for _ in range(10)]
+        assert all(frame.depth is None for frame in frames)
+        assert np.array_equal(_array(frames[-1].rgb), first)
+    with pytest.raises(BadRecording, match="expected a recording with depth, it has color"):
+        open_source(path, depth=True).connect()
+
+
 @pytest.mark.skipif(not REAL.is_file(), reason="the real recording is not available")
 def test_the_recording_of_a_real_camera() -> None:
     with RealSenseSource(recording=REAL) as stream:

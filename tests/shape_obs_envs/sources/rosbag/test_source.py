@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import array
 import json
+import shutil
 import struct
 import warnings
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -14,7 +16,7 @@ import pytest
 
 pytest.importorskip("rosbags")
 
-from ros_bags import COLOR, DEPTH, INFO, camera_info, compressed, image, rgbd_messages, write_bag
+from ros_bags import COLOR, DEPTH, INFO, camera_info, compressed, image, rgbd_messages, write_bag, write_ros1_bag
 
 from shape_obs.recording.format import read_moments
 from shape_obs.source import BadRecording, EndOfSource, NotConnected, RGBDSource
@@ -51,12 +53,17 @@ def mcap(frames, tmp_path_factory):
     return write_bag(tmp_path_factory.mktemp("bags") / "mcap", rgbd_messages(frames, K))
 
 
-@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3", "ROS 1"])
 @pytest.mark.parametrize("dtype", [np.uint16, np.float32])
 def test_a_bag_is_read_back_to_the_pixel(storage, dtype, tmp_path):
+    """A file of a rosbag2 may have lost the rest of its folder."""
     frames = drawn(5, dtype)
-    file = write_bag(tmp_path / "bag", rgbd_messages(frames, K), storage)
-    for word in [tmp_path / "bag", *([file] if storage == "mcap" else [])]:
+    if storage == "ROS 1":
+        words = [write_ros1_bag(tmp_path / "ros.bag", rgbd_messages(frames, K))]
+    else:
+        file = write_bag(tmp_path / "bag", rgbd_messages(frames, K), storage)
+        words = [tmp_path / "bag", Path(shutil.copy(file, tmp_path))]
+    for word in words:
         source = open_source(word)
         with pytest.raises(NotConnected):
             source.read()
@@ -180,7 +187,14 @@ SMOOTH = SMOOTH.astype(np.uint8)
 @pytest.mark.parametrize("padding", [0, 6])
 @pytest.mark.parametrize(
     ("encoding", "code"),
-    [("rgb8", None), ("bgr8", cv2.COLOR_RGB2BGR), ("rgba8", cv2.COLOR_RGB2RGBA), ("bgra8", cv2.COLOR_RGB2BGRA)],
+    [
+        ("rgb8", None),
+        ("bgr8", cv2.COLOR_RGB2BGR),
+        ("rgba8", cv2.COLOR_RGB2RGBA),
+        ("bgra8", cv2.COLOR_RGB2BGRA),
+        ("8UC3", cv2.COLOR_RGB2BGR),
+        ("8UC4", cv2.COLOR_RGB2BGRA),
+    ],
 )
 def test_raw_colour_is_exact_whatever_its_rows_end_with(encoding, code, padding):
     stored = NOISE if code is None else np.asarray(cv2.cvtColor(NOISE, code))
@@ -243,6 +257,8 @@ def test_compressed_depth_is_decoded():
         (struct.pack("<iff", 0, 0.0, 0.0) + png, "16UC1; compressedDepth png"),
         (struct.pack("<iff", 0, 0.0, 0.0) + png, "16UC1; compressedDepth"),
         (png, "16UC1; png compressed"),
+        (png, "png"),  # as published by hand, without the encoding
+        (struct.pack("<iff", 0, 0.0, 0.0) + png, "compressedDepth"),
     ):
         message = compressed(data, kind, 1.0)
         assert kind_of(message) == "depth"
@@ -257,9 +273,10 @@ def test_quantized_inverse_depth_is_decoded():
     stored = (a / metres + b).astype(np.uint16)
     stored[0, 0] = 0
     png = cv2.imencode(".png", stored)[1].tobytes()
-    found = read_depth(compressed(struct.pack("<iff", 1, a, b) + png, "32FC1; compressedDepth png", 1.0))
-    assert np.isnan(found[0, 0])
-    assert np.allclose(found.ravel()[1:], metres.ravel()[1:], rtol=2e-3)
+    for kind in ("32FC1; compressedDepth png", "compressedDepth"):
+        found = read_depth(compressed(struct.pack("<iff", 1, a, b) + png, kind, 1.0))
+        assert np.isnan(found[0, 0])
+        assert np.allclose(found.ravel()[1:], metres.ravel()[1:], rtol=2e-3)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("rosbags")
 
-from ros_bags import FRAME, camera_info, image, write_bag
+from ros_bags import FRAME, TYPES, camera_info, compressed, header, image, write_bag
 
 from shape_obs.source import BadRecording
 from shape_obs_envs.sources import RosbagSource
@@ -32,6 +32,15 @@ def depth(frame: str = FRAME, shape: tuple[int, int] = SIZE):
 
 def metres(frame: str = FRAME):
     return image(np.full(SIZE, 0.7, np.float32), "32FC1", 1.0, frame)
+
+
+def imu():
+    vector, turn = TYPES["geometry_msgs/msg/Vector3"](0.0, 0.0, 9.81), TYPES["geometry_msgs/msg/Quaternion"](0, 0, 0, 1)
+    return TYPES["sensor_msgs/msg/Imu"](header(1.0), turn, np.zeros(9), vector, np.zeros(9), vector, np.zeros(9))
+
+
+def unreadable():
+    return image(RGB.astype(np.uint16), "rgb16", 1.0)
 
 
 # driver -> what it publishes, and the topics of colour, depth and intrinsics that must be found
@@ -60,6 +69,11 @@ DRIVERS = {
         },
         ("/zed/zed_node/rgb/image_rect_color", "/zed/zed_node/depth/depth_registered"),
         "/zed/zed_node/rgb/camera_info",
+    ),
+    "an IMU and what another node drew": (
+        {"/imu": imu(), "/overlay": image(RGB, "8UC3", 1.0), "/color/image_raw": colour(), "/far/image": unreadable()},
+        ("/color/image_raw", None),
+        None,
     ),
     "one usb camera": ({"/image_raw": colour(), "/camera_info": INFO}, ("/image_raw", None), "/camera_info"),
     "a gray camera": ({"/eye/image": gray()}, ("/eye/image", None), None),
@@ -113,12 +127,20 @@ ONE = {"/a/color/image_raw": colour("a"), "/b/color/image_raw": colour("b"), "/o
 @pytest.mark.parametrize(
     ("messages", "arguments", "expected"),
     [
+        (
+            {"/odometry": INFO, "/far": unreadable(), "/d": compressed(b"x" * 40, "16UC1; compressedDepth rvl", 1.0)},
+            {},
+            r"no topic with colour images; it has /d .*rvl.* not supported.*/far \(sensor_msgs/msg/Image, rgb16\)",
+        ),
+        ({"/far": unreadable()}, {"color": "/far"}, "the images in /far have the encoding rgb16; expected rgb8"),
+        ({"/a": colour(), "/b": depth()}, {"color": "/b"}, "the images in /b have the encoding 16UC1; expected rgb8"),
+        ({"/a": colour()}, {"depth": "/a"}, "the images in /a have the encoding rgb8; expected 16UC1"),
         ({"/odometry": INFO}, {}, r"no topic with colour images; it has /odometry \(sensor_msgs/msg/CameraInfo\)"),
         (ONE, {}, "several .*, /a/color/image_raw, /b/color/image_raw: choose one, --set color=/a/color/image_raw"),
         (
             ONE,
             {"color": "/a/colour/image_raw"},
-            "color: no such images in /a/colour.*did you mean '/a/color/image_raw'",
+            "color: no images in /a/colour.*did you mean '/a/color/image_raw'",
         ),
         (ONE, {"color": "/a/color/image_raw", "info": "/odometri"}, "info: no CameraInfo.*did you mean '/odometry'"),
         (
@@ -147,6 +169,16 @@ def test_what_cannot_be_chosen_is_an_error_that_lists_the_topics(messages, argum
     with pytest.raises(BadRecording, match=expected) as caught, RosbagSource(write(tmp_path, messages), **arguments):
         pass
     assert "\n" not in str(caught.value)
+
+
+def test_channels_without_names_are_bgr_with_a_warning(tmp_path):
+    bag = write(tmp_path, {"/image": image(RGB * np.array([1, 0, 0], np.uint8), "8UC3", 1.0)})
+    for color in (None, "/image"):
+        with (
+            pytest.warns(UserWarning, match="/image does not name its channels"),
+            RosbagSource(bag, color=color) as source,
+        ):
+            assert np.array_equal(np.asarray(source.read().rgb), RGB * (0, 0, 1))
 
 
 def test_a_rectified_image_has_the_intrinsics_of_p_and_is_not_rectified_again(tmp_path):
