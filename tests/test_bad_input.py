@@ -23,6 +23,7 @@ from shape_obs import (
     ShapeDetector,
     ShapeLostError,
     Surface,
+    Target,
 )
 from shape_obs.calibration.hand_eye import fit_base, marker_points
 from shape_obs.config.detector_config import DetectorConfig
@@ -36,6 +37,7 @@ from shape_obs_envs.mujoco.randomization import Randomization
 from shape_obs_envs.mujoco.randomization.hand_occluder import Hand
 from shape_obs_envs.robots.frame_publisher import Faults
 from shape_obs_envs.sources import FolderSource, VideoSource, WebcamSource
+from shape_obs_envs.sources.realsense import RealSenseSource
 from shape_obs_envs.sources.realsense.settings import check_filters
 
 BLUE = HSVRange((100, 100, 60), (125, 255, 255))
@@ -126,6 +128,8 @@ def test_a_refused_frame_leaves_the_track_alone(blue):
         (lambda: marker_pages((0,), 3), "markers of 3 mm are too small to print: give at least"),
         (lambda: OverlayVideo("o.txt"), "o.txt: expected a video named "),
         (lambda: marker_points(np.eye(4)[:, :2] * 9, LENS, np.zeros((480, 640))), "not enough depth on the marker"),
+        (lambda: Target(((0.1, 0, 0), (0.2, 0, 0)), size=(640, 480)), "goal: size is that of an image"),
+        (lambda: RealSenseSource(recording="a.bag", exposure=0.01), "recording: its images are as they were taken"),
         (lambda: WebcamSource("/dev/none").connect(), "there is no /dev/none"),
         (lambda: VideoSource("none.mp4").connect(), "none.mp4: no such file"),
         (lambda: FolderSource("none").connect(), "none: no such folder"),

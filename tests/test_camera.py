@@ -13,7 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shape_obs import CameraModel, Intrinsics, ShapeDetector
+from shape_obs.calibration.hand_eye import marker_points
 from shape_obs.camera import DepthNoise, as_camera_model
+from shape_obs.features import FeatureContext
+from shape_obs_envs.sources import WebcamSource
+from shape_obs_envs.sources.registration import Registration
 
 MODELS = ("pinhole", "brown_conrady", "inverse_brown_conrady")
 # a real D455 at 1280 x 800, the magnitudes of librealsense's and of wider lenses
@@ -132,6 +136,16 @@ def test_cameras_of_other_libraries_are_read_wherever_one_is_given(camera, expec
         points = ShapeDetector().detect_mask(mask, depth, one).shapes[0].points3d
         assert points is not None
         np.testing.assert_allclose(expected.project(points)[:, 1], 104.5, atol=0.6)
+
+
+def test_sources_calibration_and_features_take_them_too():
+    lens = SimpleNamespace(**REALSENSE, model="distortion.none")
+    assert WebcamSource("0", intrinsics=lens).lens == PINHOLE
+    assert Registration(lens, lens, np.eye(3), (0.059, 0, 0)).output == PINHOLE
+    context = FeatureContext(640, 480, lens)  # type: ignore[arg-type]
+    assert context.camera == CameraModel(PINHOLE)
+    corners = np.array([(300.0, 200.0), (340.0, 200.0), (340.0, 240.0), (300.0, 240.0)])
+    np.testing.assert_array_equal(*(marker_points(corners, each, size=0.05) for each in (lens, PINHOLE)))
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import CameraLike, Intrinsics, as_intrinsics
+from shape_obs.camera import CameraLike, as_intrinsics
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import depth_in_metres
 from shape_obs.geometry.observed import MAD_SIGMA
@@ -52,7 +52,7 @@ class BaseFit:
 def fit_base(
     points_camera: npt.ArrayLike,
     points_base: npt.ArrayLike,
-    intrinsics: Intrinsics | None = None,
+    intrinsics: CameraLike = None,
     serial: str | None = None,
     max_age_days: float = 30.0,
 ) -> BaseFit:
@@ -84,11 +84,11 @@ def fit_base(
                 f"the {name} lie within {1000 * across:.0f} mm of one line, which leaves the rotation about it "
                 "undetermined: touch corners of markers all around the table."
             )
-    transform = fit(seen, touched)
+    transform, lens = fit(seen, touched), None if intrinsics is None else as_intrinsics(intrinsics)
     residuals = np.linalg.norm(transform.apply(seen) - touched, axis=1)
     rms = float(np.sqrt(np.mean(residuals**2)))
     extrinsics = Extrinsics.from_dict(
-        {"T": transform.matrix, "intrinsics": intrinsics, "serial": serial, "rms": rms, "max_age_days": max_age_days}
+        {"T": transform.matrix, "intrinsics": lens, "serial": serial, "rms": rms, "max_age_days": max_age_days}
     )
     return BaseFit(extrinsics, residuals, rms, *_suspect(seen, touched))
 

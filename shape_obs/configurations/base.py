@@ -22,6 +22,7 @@ from shape_obs.initialization.objects import SceneObject, find_components
 from shape_obs.spec import Spec, did_you_mean
 from shape_obs.tracking.belief import Shares, known_layout
 from shape_obs.tracking.prediction import Fit, Prediction
+from shape_obs.utils.lengths import warn_unless_metres
 
 #: Take the order of the points from the previous frame, or from the image alone.
 Order: TypeAlias = Literal["tracked", "image"]
@@ -146,6 +147,7 @@ class Configuration(Spec, family="configuration", modules=_MODULES):
             object.__setattr__(self, "name", self.kind)
         if self.radius < 0 or not np.isfinite(self.radius):
             raise ValueError(f"{self.kind}: radius must be >= 0 metres, got {self.radius}.")
+        warn_unless_metres(f"{self.kind}: radius", self.radius, most=0.5, stacklevel=5)
         if isinstance(self.count, int) and not 1 <= self.count <= MOST_SLOTS:
             raise ValueError(f"{self.kind}: count must lie in 1...{MOST_SLOTS}, be 'all' or None, got {self.count}.")
         anchors = self.anchor if isinstance(self.anchor, Mapping) else {self.name: self.anchor}

@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import CameraModel
+from shape_obs.camera import CameraModel, as_camera_model
 from shape_obs.configurations.base import Configuration
 from shape_obs.geometry.topology import Topology
 from shape_obs.image.segmentation import DepthRange
@@ -36,7 +36,7 @@ class FeatureContext:
     Args:
         width: Image width in pixels.
         height: Image height in pixels.
-        camera: The camera model; None if only pixels are needed.
+        camera: The camera model, or what ``as_camera_model`` makes one of; None if only pixels are needed.
         workspace: (low, high) corners in metres, base frame; None for everything the camera can see.
         max_age: Seconds at which the feature ``age`` saturates.
         anchor: (x, y, z) in metres, base frame, where point 0 is held; None if unknown.
@@ -50,6 +50,9 @@ class FeatureContext:
     max_age: float = 0.5
     anchor: tuple[float, float, float] | None = None
     anchors: Mapping[str, Sequence[float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "camera", as_camera_model(self.camera, (self.height, self.width)))
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import Intrinsics
+from shape_obs.camera import CameraLike, as_intrinsics
 from shape_obs.markers.finder import DICTIONARY, Corners, check_ids, find_markers
 from shape_obs.spec import Spec, SpecError
 from shape_obs.utils.lengths import warn_unless_metres
@@ -184,15 +184,23 @@ class TopView:
         seen = cv2.warpPerspective(rgb, self.homography @ to_metres, (int(width), int(height)), flags=flags)
         return np.asarray(seen, np.uint8)
 
-    def transform_table_to_camera(self, intrinsics: Intrinsics) -> Array:
+    def transform_table_to_camera(self, intrinsics: CameraLike) -> Array:
         """Return the transform ``(4, 4)`` in metres, p_camera = T p_table, with z = 0 on the table.
 
         Args:
-            intrinsics: The intrinsics of the image.
+            intrinsics: The intrinsics of the image, which has no lens distortion, in any form with a size.
+
+        Raises:
+            ValueError: The intrinsics have distortion.
         """
+        lens = as_intrinsics(intrinsics)
+        if lens.distorted:
+            raise ValueError(
+                f"expected the intrinsics of a rectified image, a pinhole, got {lens.model} {lens.coeffs}."
+            )
         points = self.layout.array[[self.layout.ids.index(each) for each in self.seen]].reshape(-1, 2)
         solid = np.concatenate([points, np.zeros((len(points), 1))], axis=1)
-        _, turn, shift = cv2.solvePnP(solid, self.to_pixels(points), intrinsics.matrix, None, flags=cv2.SOLVEPNP_IPPE)
+        _, turn, shift = cv2.solvePnP(solid, self.to_pixels(points), lens.matrix, None, flags=cv2.SOLVEPNP_IPPE)
         transform = np.eye(4)
         transform[:3, :3], transform[:3, 3] = cv2.Rodrigues(turn)[0], np.ravel(shift)
         return transform

@@ -69,6 +69,8 @@ class Target(Spec):
         wanted = 2 if self.frame == "pixels" else 3
         if not self.points:
             raise ValueError("goal: expected points, got none.")
+        if wanted == 3 and self.size is not None:
+            raise ValueError(f"goal: size is that of an image, for pixels; leave it out in frame {self.frame!r}.")
         if wanted == 3:
             warn_unless_metres("goal: points", [number for point in self.points for number in point], stacklevel=4)
         for i, point in enumerate(self.points):

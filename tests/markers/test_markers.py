@@ -100,6 +100,9 @@ class TestTopView:
         transform = TopView.find(scene.rgb, LAYOUT).transform_table_to_camera(CAMERA)
         np.testing.assert_allclose(transform[:3, 3], scene.transform[:3, 3], atol=0.003)
         np.testing.assert_allclose(transform[:3, :3], scene.transform[:3, :3], atol=0.01)
+        bent = replace(CAMERA, model="brown_conrady", coeffs=(0.1, 0, 0, 0, 0))
+        with pytest.raises(ValueError, match="rectified"):
+            TopView.find(scene.rgb, LAYOUT).transform_table_to_camera(bent)
 
     def test_layout_errors(self):
         with pytest.raises(SpecError, match="at least two markers' width"):

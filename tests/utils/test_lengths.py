@@ -49,6 +49,7 @@ GIVEN = {
     "anchor 'hand'": anchored,
     "workspace": with_workspace,
     "centerline: length": lambda unit: Centerline(length=0.8 * unit),
+    "radius": lambda unit: Centerline(radius=0.005 * unit),
     "max_depth": lambda unit: Points3D(max_depth=2 * unit),
     "near": lambda unit: DepthRange(0.3 * unit, 0.9 * unit),
     "goal: points": lambda unit: Target(((0.1 * unit, 0, 0), (0.3 * unit, 0, 0))),

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from shape_obs.camera import Intrinsics
+from shape_obs.camera import CameraLike, Intrinsics, as_intrinsics
 from shape_obs.utils.lengths import warn_unless_metres
 from shape_obs_envs.sources.rectification import Rectification, remap, remap_maps
 
@@ -73,14 +73,14 @@ class Registration:
 
     def __init__(
         self,
-        colour: Intrinsics,
-        depth: Intrinsics,
+        colour: CameraLike,
+        depth: CameraLike,
         rotation: npt.ArrayLike,
         translation: npt.ArrayLike,
         depth_unit: float = _MILLIMETRE,
     ) -> None:
-        self.colour, self.depth, self.depth_unit = colour, depth, _check_unit(depth_unit)
-        self._rectification = Rectification.of(colour)
+        self.colour, self.depth, self.depth_unit = as_intrinsics(colour), as_intrinsics(depth), _check_unit(depth_unit)
+        self._rectification = Rectification.of(self.colour)
         self.output = self._rectification.output
         self._reproject = DepthReprojection(depth, self.output, rotation, translation, _MILLIMETRE)
 
@@ -133,13 +133,14 @@ class RawImages:
 
     def __init__(
         self,
-        camera: Intrinsics,
-        colour: Intrinsics,
-        depth: Intrinsics,
+        camera: CameraLike,
+        colour: CameraLike,
+        depth: CameraLike,
         rotation: npt.ArrayLike,
         translation: npt.ArrayLike,
         depth_unit: float = _MILLIMETRE,
     ) -> None:
+        camera, colour, depth = (as_intrinsics(each) for each in (camera, colour, depth))
         for name, intrinsics in (("camera", camera), ("depth", depth)):
             if intrinsics.distorted:
                 raise ValueError(
@@ -210,13 +211,14 @@ class DepthReprojection:
 
     def __init__(
         self,
-        source: Intrinsics,
-        target: Intrinsics,
+        source: CameraLike,
+        target: CameraLike,
         rotation: npt.ArrayLike,
         translation: npt.ArrayLike,
         unit: float,
     ) -> None:
         rotation, translation = check_pose(rotation, translation)
+        source, target = as_intrinsics(source), as_intrinsics(target)
         if target.distorted:
             raise ValueError(
                 f"DepthReprojection: expected a target without distortion, got {target.model} {target.coeffs}."

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.calibration import IntrinsicsFit
-from shape_obs.camera import Intrinsics
+from shape_obs.camera import CameraLike, as_intrinsics
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
 from shape_obs.source import CameraNotFound, SourceError
@@ -50,8 +50,8 @@ class WebcamSource(LiveSource):
         fps: Frames per second to ask for; a warning reports another rate. Cameras may deliver less, in low light for
             example.
         fourcc: Pixel format to ask for, such as ``"MJPG"``, with which USB 2 carries larger images.
-        intrinsics: The camera's intrinsics, or the file of ``shape-obs calibrate intrinsics``; frames are then
-            rectified. None if unknown: frames are as the lens shows them, and have no camera.
+        intrinsics: The camera's intrinsics, in any form, or the file of ``shape-obs calibrate intrinsics``; frames are
+            then rectified. None if unknown: frames are as the lens shows them, and have no camera.
         buffer: Largest number of frames that wait for a reader.
         patience: Seconds without a frame after which the camera counts as lost.
 
@@ -75,7 +75,7 @@ class WebcamSource(LiveSource):
         height: int | None = None,
         fps: float | None = None,
         fourcc: str | None = None,
-        intrinsics: Intrinsics | str | Path | None = None,
+        intrinsics: CameraLike | str | Path = None,
         buffer: int = 8,
         patience: float = 2.0,
     ) -> None:
@@ -91,8 +91,9 @@ class WebcamSource(LiveSource):
         if fourcc is not None and len(str(fourcc)) != 4:
             raise ValueError(f"fourcc: expected four characters, such as MJPG, got {fourcc!r}.")
         self._fourcc = fourcc
+        size = None if width is None or height is None else (height, width)
         lens = IntrinsicsFit.load(intrinsics).intrinsics if isinstance(intrinsics, (str, Path)) else intrinsics
-        self._rectification = None if lens is None else Rectification.of(lens)
+        self._rectification = None if lens is None else Rectification.of(as_intrinsics(lens, size))
         self.lens = None if self._rectification is None else self._rectification.output
         self._capture: cv2.VideoCapture | None = None
         self._first: npt.NDArray[np.uint8] | None = None

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import Intrinsics
+from shape_obs.camera import CameraLike, Intrinsics, as_intrinsics
 from shape_obs_envs.sources.realsense.driver import Geometry, d455_geometry, librealsense
 from shape_obs_envs.sources.registration import RawImages
 
@@ -102,14 +102,15 @@ class SoftwareD455:
         width: int = 640,
         height: int = 480,
         fps: int = 30,
-        camera: Intrinsics | None = None,
+        camera: CameraLike = None,
         usb: str = "3.2",
         depth_unit: float = 0.001,
     ) -> None:
         self._rs = rs = librealsense()
         self.serial, self.fps = serial, fps
         self.geometry = geometry = d455_geometry(width, height, depth_unit)
-        self.camera = camera or replace(geometry.colour, model="pinhole", coeffs=(0.0,) * 5)
+        pinhole = replace(geometry.colour, model="pinhole", coeffs=(0.0,) * 5)
+        self.camera = pinhole if camera is None else as_intrinsics(camera, (height, width))
         self._raw_images = RawImages(
             self.camera, geometry.colour, geometry.depth, geometry.rotation, geometry.translation, depth_unit
         )

@@ -123,6 +123,8 @@ class RealSenseSource(Source):
             raise ValueError(f"model: expected a camera of the D400 series, such as 'd455' or 'd435', got {model!r}.")
         check_filters(filters)
         self.options = CameraOptions(exposure, gain, white_balance, laser_power, preset)
+        if recording is not None and self.options != CameraOptions():
+            raise ValueError(f"recording: its images are as they were taken; leave out what is set in {self.options}.")
         mode = count("width", width, 1), count("height", height, 1), count("fps", fps, 1)
         self._setup = Setup(*mode, self.options, tuple(filters), max_gap, depth)
         self._device = _device(device, None if serial is None else str(serial), recording, model.lower())
