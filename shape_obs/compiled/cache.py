@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import os
 import pickle
+import stat
 import sys
 import tempfile
 import time
@@ -125,29 +126,49 @@ def _plain(value: Any) -> Any:
 
 @lru_cache
 def cache_folder() -> Path | None:
-    """Return the folder of compiled functions, made where it is missing; None where nothing can be written.
+    """Return the folder of compiled functions, made where it is missing; None where nothing can be read or written.
 
-    ``NUMBA_CACHE_DIR`` comes first, then the user's folder for caches. The package's own folder is not used: it may be
-    read-only or shared, and what is in it survives neither an update nor an uninstall cleanly.
+    ``NUMBA_CACHE_DIR`` comes first, then the user's folder for caches, then one in the folder for temporary files that
+    only this user can write, since its files are code. A folder that was filled when a container was built is read even
+    if it cannot be written. The package's own folder is not used: it may be read-only or shared, and what is in it
+    survives neither an update nor an uninstall cleanly.
     """
-    folder = _user_folder()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            return folder
-    except OSError as error:
-        _warn(str(error), "Set NUMBA_CACHE_DIR to a folder that can be written to.")
-        return None
+    reasons: list[str] = []
+    for find in (_given_folder,) if os.environ.get("NUMBA_CACHE_DIR") else (_user_folder, _temporary_folder):
+        try:
+            folder = find()
+            if any(folder.glob("*.bin")) and not os.access(folder, os.W_OK):
+                return folder
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                return folder
+        except (OSError, RuntimeError) as error:  # noqa: PERF203 - RuntimeError: no HOME and no entry in passwd
+            reasons.append(str(error).rstrip("."))
+    _warn("; ".join(reasons), "Set NUMBA_CACHE_DIR to a folder that can be written to.")
+    return None
+
+
+def _given_folder() -> Path:
+    return Path(os.environ["NUMBA_CACHE_DIR"]) / _FOLDER
 
 
 def _user_folder() -> Path:
-    if given := os.environ.get("NUMBA_CACHE_DIR"):
-        return Path(given) / _FOLDER
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / _FOLDER / "Cache"
     if sys.platform == "darwin":
         return Path.home() / "Library" / "Caches" / _FOLDER
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / _FOLDER
+
+
+def _temporary_folder() -> Path:
+    """Return a folder of this user alone; others could put code into any other one."""
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    folder = Path(tempfile.gettempdir()) / f"{_FOLDER}-{user}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if hasattr(os, "getuid") and (not stat.S_ISDIR(found.st_mode) or found.st_uid != user or found.st_mode & 0o022):
+        raise PermissionError(f"{folder} can be written by other users")
+    return folder
 
 
 class DiskCache:

@@ -71,8 +71,10 @@ class _Helper(_Dispatcher):
 @overload
 def compiled(function: F, /) -> F: ...
 @overload
-def compiled(*signatures: str, reassociate: bool = False, inline: bool = False) -> Callable[[F], F]: ...
-def compiled(*signatures: Any, reassociate: bool = False, inline: bool = False) -> Any:
+def compiled(
+    *signatures: str, reassociate: bool = False, inline: bool = False, division: bool = False
+) -> Callable[[F], F]: ...
+def compiled(*signatures: Any, reassociate: bool = False, inline: bool = False, division: bool = False) -> Any:
     """Compile a function with Numba at its first use, not at import.
 
     Args:
@@ -81,6 +83,7 @@ def compiled(*signatures: Any, reassociate: bool = False, inline: bool = False) 
             compiled functions call.
         reassociate: Whether sums may be taken in any order.
         inline: Copy the function into its callers; for a few lines in an inner loop.
+        division: Return infinity or NaN for a division by zero, as NumPy does, and not raise an error.
 
     Returns:
         The function; ``py_func`` is the Python function.
@@ -90,6 +93,8 @@ def compiled(*signatures: Any, reassociate: bool = False, inline: bool = False) 
     options: dict[str, Any] = {"fastmath": _REASSOCIATE} if reassociate else {}
     if inline:
         options["inline"] = "always"
+    if division:
+        options["error_model"] = "numpy"
     return lambda function: _wrapped(function, signatures, options)
 
 

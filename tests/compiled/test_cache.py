@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from shape_obs.compiled.cache import cache_folder
+
 HELPERS = """
 from shape_obs.compiled import compiled
 FACTOR = {factor}
@@ -126,6 +128,53 @@ def test_a_cache_folder_that_cannot_be_written_gives_one_warning(work):
     assert out == EVERYTHING
     assert err.count("Compiled functions cannot be kept") == 1
     assert "NUMBA_CACHE_DIR" in err
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="users of POSIX")
+@pytest.mark.parametrize("home", [None, "/proc/none"])
+@pytest.mark.parametrize("temporary", ["there", "open to all", "missing"])
+def test_without_a_home_a_folder_of_this_user_alone_is_used(tmp_path, monkeypatch, recwarn, home, temporary):
+    """As in a container: a user without an entry in passwd, no HOME, a HOME that cannot be written."""
+
+    def no_entry(uid):
+        raise KeyError("getpwuid(): uid not found")
+
+    monkeypatch.setattr("pwd.getpwuid", no_entry)
+    for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    if home is not None:
+        monkeypatch.setenv("HOME", home)
+    own = tmp_path / f"shape_obs-{os.getuid()}"
+    if temporary == "open to all":
+        own.mkdir()
+        own.chmod(0o777)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "none" if temporary == "missing" else tmp_path))
+    cache_folder.cache_clear()
+    try:
+        assert cache_folder() == (own if temporary == "there" else None)
+    finally:
+        cache_folder.cache_clear()
+    said = " ".join(str(each.message) for each in recwarn if "NUMBA_CACHE_DIR" in str(each.message))
+    assert bool(said) == (temporary != "there")
+    assert temporary != "there" or own.stat().st_mode & 0o777 == 0o700
+
+
+def test_a_cache_that_was_filled_before_is_read_where_it_cannot_be_written(tmp_path, monkeypatch):
+    """As one in the image of a container, of another user or on a read-only disk."""
+
+    def refuse(**_):
+        raise OSError(30, "Read-only file system")
+
+    (tmp_path / "shape_obs").mkdir()
+    (tmp_path / "shape_obs" / "a.bin").touch()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr("os.access", lambda *_: False)
+    monkeypatch.setattr("tempfile.TemporaryFile", refuse)
+    cache_folder.cache_clear()
+    try:
+        assert cache_folder() == tmp_path / "shape_obs"
+    finally:
+        cache_folder.cache_clear()
 
 
 @pytest.mark.nightly

@@ -11,9 +11,9 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from shape_obs.camera import CameraLike, Intrinsics, as_intrinsics
+from shape_obs.compiled import compiled
 from shape_obs.utils.lengths import warn_unless_metres
 from shape_obs_envs.sources.rectification import Rectification, remap, remap_maps
 
@@ -244,7 +244,7 @@ class DepthReprojection:
         return reproject(metres, self._rays, self._shift, self._scale, MARGIN, *self.target.size)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled("(f4[:,::1], f4[:,:,::1], f4[::1], f4, f4, i8, i8)", division=True)
 def reproject(metres: Metres, rays: Metres, shift: Metres, scale: Any, margin: Any, height: int, width: int) -> Depth:
     """Reproject a depth image to an image of ``height`` by ``width`` pixels.
 
