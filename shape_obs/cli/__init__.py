@@ -13,6 +13,8 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
+from io import TextIOWrapper
+from pathlib import Path
 from types import FrameType
 from typing import Final
 
@@ -44,35 +46,63 @@ def main(argv: Sequence[str] | None = None) -> None:
     The exit code is 0 on success, 1 with one line on stderr after an error, 2 after wrong usage, and 128 plus the
     signal's number after a signal, as shells expect. A file that is missing or damaged is an error, not wrong usage.
     """
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if not arguments or arguments[0] in ("-h", "--help"):
-        print(_usage())
-        sys.exit(0)
-    if arguments[0] == "--version":
-        print(f"shape-obs {__version__}")
-        sys.exit(0)
-    command, *rest = arguments
-    if command not in COMMANDS:
-        print(f"shape-obs: unknown command {command!r}{did_you_mean(command, COMMANDS)}", file=sys.stderr)
-        sys.exit(2)
+    _open_streams()
+    status = _run(list(sys.argv[1:] if argv is None else argv))
+    sys.exit(1 if _is_output_lost() else status)
+
+
+def _run(arguments: list[str]) -> int:
+    """Run a command, report its error in one line, and return the exit code."""
+    command, *rest = arguments or ["--help"]
     if "" not in sys.path:
         sys.path.append("")  # module:Name may lie in the current folder, as with ``python -m``
     prog = " ".join(["shape-obs", command, *rest[:1]] if command in _GROUPS else ["shape-obs", command])
     try:
-        with _signals():
-            status = import_module(f"shape_obs.cli.{command.replace('-', '_')}").main(rest)
+        if command in ("-h", "--help", "--version"):
+            print(f"shape-obs {__version__}" if command == "--version" else _usage())
+            status = 0
+        elif command not in COMMANDS:
+            prog = "shape-obs"
+            raise UsageError(f"unknown command {command!r}{did_you_mean(command, COMMANDS)}")
+        else:
+            with _signals():
+                status = import_module(f"shape_obs.cli.{command.replace('-', '_')}").main(rest)
         sys.stdout.flush()
-    except BrokenPipeError:
-        # The reader of the output is gone; without this the interpreter fails again when it flushes stdout.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
+    except SystemExit as end:  # of the parser: --help, or wrong usage, which it has reported
+        return end.code if isinstance(end.code, int) else int(end.code is not None)
     except (ValueError, TypeError, OSError, ImportError) as error:
-        print(f"{prog}: {message_of(error)}{hint_at_extra(error)}", file=sys.stderr)
-        sys.exit(2 if isinstance(error, UsageError) else 1)
+        if not (isinstance(error, BrokenPipeError) and _is_output_lost()):
+            print(f"{prog}: {message_of(error)}{hint_at_extra(error)}", file=sys.stderr)
+        return 2 if isinstance(error, UsageError) else 1
     except Interrupted as interrupted:
         print(f"{prog}: {message_of(interrupted)}", file=sys.stderr)
-        sys.exit(128 + interrupted.signum)
-    sys.exit(status)
+        return 128 + interrupted.signum
+    return status
+
+
+def _open_streams() -> None:
+    """Open the output streams that are missing, as in ``pythonw``; what a stream cannot encode it prints as codes."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115 - until the process ends
+        elif isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _is_output_lost() -> bool:
+    """Return whether output cannot be written, as when its reader has ended, and write the rest of it nowhere.
+
+    Without this the interpreter fails again when it flushes the streams.
+    """
+    lost = False
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:  # noqa: PERF203
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+            lost = True
+    return lost
 
 
 @contextmanager

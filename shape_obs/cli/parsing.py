@@ -6,6 +6,7 @@ help text as a docstring below it. tyro reads the command line.
 
 from __future__ import annotations
 
+import ast
 import inspect
 import shutil
 import textwrap
@@ -110,7 +111,7 @@ def parse(arguments: type[T], argv: Sequence[str], prog: str, check: Callable[[T
         parser,
         args=list(argv),
         prog=prog,
-        description=_wrapped(inspect.getdoc(arguments) or ""),
+        description=_wrapped(_docstring(arguments)),
         config=(tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone),
     )
     values = {name: getattr(getattr(found, group) if group else found, name) for name, group in paths.items()}
@@ -199,6 +200,16 @@ def _split(hint: Any) -> tuple[Any, Option, tuple[Any, ...]]:
     base, *extras = get_args(hint)
     option = next((extra for extra in extras if isinstance(extra, Option)), Option())
     return base, option, tuple(extra for extra in extras if not isinstance(extra, Option))
+
+
+def _docstring(cls: type) -> str:
+    """Return the docstring of a class from its source, which has it with ``python -OO`` too."""
+    try:
+        (definition,) = ast.parse(textwrap.dedent(inspect.getsource(cls))).body
+        assert isinstance(definition, ast.ClassDef)
+        return ast.get_docstring(definition) or ""
+    except (OSError, SyntaxError):  # there is no source
+        return inspect.getdoc(cls) or ""
 
 
 def _help_texts(arguments: type) -> dict[str, str]:

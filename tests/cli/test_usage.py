@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -10,9 +11,11 @@ import sys
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
+import cv2
+import numpy as np
 import pytest
 
-from shape_obs.cli import COMMANDS
+from shape_obs.cli import COMMANDS, main
 from shape_obs.cli.bench import MEASUREMENTS
 from shape_obs.cli.calibrate import CALIBRATIONS
 
@@ -184,3 +187,48 @@ def test_a_part_that_does_not_exist_is_wrong_usage_and_the_nearest_is_named(run)
     code, _, err = run("bench", "sped")
     assert code == 2
     assert "speed" in err
+
+
+@pytest.mark.parametrize("arguments", [["detect", "--help"], ["--help"], ["--version"], ["detect", "none.png"], ["x"]])
+@pytest.mark.parametrize("missing", ["stdout", "stderr", "both"])
+def test_it_runs_without_output_streams_as_in_pythonw_and_after_its_reader_has_ended(monkeypatch, arguments, missing):
+    def run() -> object:
+        with pytest.raises(SystemExit) as stop:
+            main(arguments)
+        return stop.value.code
+
+    for name in ("stdout", "stderr"):
+        monkeypatch.setattr(sys, name, io.StringIO() if missing not in (name, "both") else None)
+    other = [stream for stream in (sys.stdout, sys.stderr) if isinstance(stream, io.StringIO)]
+    code = run()
+    assert code == (2 if arguments[0] in ("detect", "x") and "--help" not in arguments else 0)
+    for stream in other:  # what belongs to the other stream is not printed here
+        assert bool(stream.getvalue()) == ((code == 0) == (missing == "stderr"))
+    reader, writer = os.pipe()
+    os.close(reader)
+    for name in ("stdout", "stderr"):
+        monkeypatch.setattr(sys, name, os.fdopen(os.dup(writer), "w"))
+    assert run() == 1
+    os.close(writer)
+
+
+def test_what_a_stream_cannot_encode_is_printed_as_codes(tmp_path, monkeypatch):
+    (tmp_path / "Knöpfe").mkdir()
+    cv2.imwrite(str(tmp_path / "p.png"), np.zeros((20, 20, 3), np.uint8))
+    (tmp_path / "p.png").rename(tmp_path / "Knöpfe" / "p.png")
+    monkeypatch.chdir(tmp_path)
+    output = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(output, "ascii"))
+    with pytest.raises(SystemExit) as stop:
+        main(["replay", "Knöpfe", "--verify"])
+    assert stop.value.code == 0
+    assert output.getvalue().startswith(b"source          Kn\\xf6pfe")
+
+
+def test_help_has_its_texts_where_docstrings_are_removed(tmp_path):
+    for flags in (["-OO"], ["-I"], ["-W", "error"]):
+        command = [sys.executable, *flags, "-c", "from shape_obs.cli import main; main()", "detect", "--help"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=100, cwd=tmp_path)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert "Find the shape in image files." in done.stdout
+        assert "Annotated[" not in done.stdout

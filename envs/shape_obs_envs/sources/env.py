@@ -187,10 +187,10 @@ class EnvSource(SequenceSource):
             return gym.make(self._given, **self._options)
         except Exception as error:  # environments raise anything about their arguments
             kind = SourceError if not self._options or isinstance(error, (ImportError, RuntimeError)) else BadSettings
-            told = error.__cause__ or error  # Gymnasium repeats the arguments in a message of its own
-            name = "" if isinstance(told, (ValueError, TypeError, gym.error.Error)) else f"{type(told).__name__}: "
-            hint = hint_at_argument(told, EnvSource, _class_of(self._given))
-            raise kind(f"{self._given}: the environment cannot be made: {name}{told}{hint}") from error
+            cause = error.__cause__ or error  # Gymnasium repeats the arguments in a message of its own
+            name = "" if isinstance(cause, (ValueError, TypeError, gym.error.Error)) else f"{type(cause).__name__}: "
+            hint = hint_at_argument(cause, EnvSource, _class_of(self._given))
+            raise kind(f"{self._given}: the environment cannot be made: {name}{cause}{hint}") from error
 
     def _connected_env(self) -> gym.Env[Any, Any]:
         self._check_connected()
