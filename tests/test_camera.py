@@ -145,7 +145,8 @@ def test_sources_calibration_and_features_take_them_too():
     context = FeatureContext(640, 480, lens)  # type: ignore[arg-type]
     assert context.camera == CameraModel(PINHOLE)
     corners = np.array([(300.0, 200.0), (340.0, 200.0), (340.0, 240.0), (300.0, 240.0)])
-    np.testing.assert_array_equal(*(marker_points(corners, each, size=0.05) for each in (lens, PINHOLE)))
+    seen, expected = (marker_points(corners, each, size=0.05) for each in (lens, PINHOLE))
+    np.testing.assert_array_equal(seen, expected)
 
 
 @pytest.mark.parametrize(

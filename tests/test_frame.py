@@ -110,6 +110,10 @@ def test_arrays_with_units_or_on_a_gpu_are_refused_by_name():
     with pytest.raises(TypeError, match="depth: the array carries the unit millimetre"):
         Frame(depth=with_unit)
 
+    frame: Any = type("depth_frame", (), {"get_data": bytes, "get_units": float})()
+    with pytest.raises(TypeError, match=r"depth: got a frame of librealsense; give .* \* frame.get_units\(\)"):
+        Frame(depth=frame)
+
     class Cuda:
         def __array__(self, dtype=None, copy=None):
             raise TypeError("can't convert cuda:0 device type tensor to numpy. Use Tensor.cpu()")

@@ -138,6 +138,8 @@ def why_empty(rule: Segmentation, frame: Frame, mask: npt.NDArray[np.uint8] | No
     if isinstance(rule, (HSVRange, GrayRange)) and max(np.atleast_1d(rule.high)[-2:]) <= 1:
         what = "s and v are" if isinstance(rule, HSVRange) else "gray is"
         parts.append(f"its bounds look like 0...1, but {what} 0...255")
+    if isinstance(rule, HSVRange) and frame.rgb is not None and bool((frame.rgb == frame.rgb[..., :1]).all()):
+        parts.append("the image is gray, without hues; give GrayRange")
     if isinstance(rule, DepthRange) and frame.depth is not None:
         parts.append(_depths(frame.depth[window.slices]))
     if isinstance(rule, ColourRule):

@@ -23,6 +23,9 @@ def plain_array(value: Any, name: str, masked: float | None = None) -> Any:
     """
     if type(value) is np.ndarray and value.dtype.isnative:
         return value
+    if hasattr(value, "get_data") and not hasattr(value, "__array__"):
+        units = " * frame.get_units()" if hasattr(value, "get_units") else ""
+        raise TypeError(f"{name}: got a frame of librealsense; give np.asanyarray(frame.get_data()){units}.")
     unit = getattr(value, "units", None) or getattr(value, "unit", None)
     if unit is not None and hasattr(value, "__array__"):
         raise TypeError(f"{name}: the array carries the unit {unit}: convert it, and give its bare numbers.")

@@ -15,15 +15,15 @@ from shape_obs.utils.array_like import plain_array
 from shape_obs.utils.image_layout import Step, apply, shape_after, steps_to_depth, steps_to_rgb
 
 #: A key of an observation, or the keys on the way to an image in a Dict within a Dict: ``"images/rgb"`` as well.
-Key = str | Sequence[str | int]
+Key = str | int | Sequence[str | int]
 Path = tuple[str | int, ...]
 
 _FULL: Final = 255
 _STATE: Final = "For state observations add images first, e.g. with gymnasium.wrappers.AddRenderObservation."
 _STACKED: Final = "These look like stacked frames: put ShapeObservation below the wrapper that stacks them."
 _RESCALE: Final = (
-    "Make its values uint8 0...255, or floats 0...1 with these bounds in the space, e.g. with "
-    "gymnasium.wrappers.TransformObservation."
+    "Make its values uint8 0...255, or floats 0...1 with these bounds in the space, and depth an image under a key of "
+    "its own, e.g. with gymnasium.wrappers.TransformObservation."
 )
 
 
@@ -161,7 +161,9 @@ def _put(value: Any, path: Path, image: npt.NDArray[Any]) -> Any:
 
 def _find(space: spaces.Space[Any], name: str, key: Key) -> tuple[Path, spaces.Space[Any]]:
     """Return the path that a key describes, and the space there."""
-    parts: Path = tuple(key) if not isinstance(key, str) else (key,) if key in _children(space) else (*key.split("/"),)
+    if isinstance(key, str) and key not in _children(space):
+        key = key.split("/")
+    parts: Path = (key,) if isinstance(key, (str, int)) else tuple(key)
     path: Path = ()
     for part in parts:
         known = _children(_at(space, path))
@@ -217,12 +219,12 @@ def _rgb(path: Path, space: spaces.Space[Any]) -> Image:
 
 def _factor(space: spaces.Box) -> float | None:
     """Return what makes 0...255 of an image's values, 0 if they are uint8 already; None if their range is unknown."""
+    high = float(space.high.max(initial=0))
     if space.dtype == np.uint8:
-        return 0.0
-    high = float(space.high.max(initial=-1))
-    if float(space.low.min(initial=0)) < 0 or not 0 < high <= _FULL:
+        return 0.0 if high > 1 else None
+    if (space.low < 0).any() or high not in (1, _FULL) or (space.high < high).any():  # or depth is the fourth channel
         return None
-    return float(_FULL) if high <= 1 and np.issubdtype(space.dtype, np.floating) else 1.0
+    return _FULL / high if np.issubdtype(space.dtype, np.floating) else 1.0 if high > 1 else None
 
 
 def _depth(path: Path, space: Any, size: tuple[int, int]) -> Image:

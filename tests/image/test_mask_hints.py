@@ -49,6 +49,10 @@ def test_a_hue_in_degrees_and_gray_from_0_to_1(blue, wave):
     )
 
 
+def test_an_image_without_colours(blue):
+    assert "the image is gray" in reason_of(BLUE, np.repeat(blue[..., :1], 3, axis=2))
+
+
 def test_the_upper_bounds_of_tutorials():
     assert HSVRange((170, 100, 60), (180, 255, 255)) == HSVRange((170, 100, 60), (179, 255, 255))
     with pytest.raises(ValueError, match="179 for no upper limit"):

@@ -83,6 +83,12 @@ def test_a_gray_image_is_read_as_colours_without_saturation(shape):
         (spaces.Dict({"rgb": byte(4, 120, 160, 3)}), {}, "stacked frames"),
         (spaces.Dict({"rgb": byte(120, 160, 12)}), {}, "stacked frames"),
         (spaces.Dict({"rgb": spaces.Box(-1, 1, (120, 160, 3))}), {}, "TransformObservation"),
+        (spaces.Dict({"rgb": spaces.Box(0, 1, (120, 160, 3), np.uint8)}), {}, "TransformObservation"),
+        (
+            spaces.Dict({"rgb": spaces.Box(0, np.float32([1, 1, 1, 9]) * np.ones((9, 9, 1), np.float32))}),
+            {},
+            "under a key",
+        ),
         (spaces.Dict({"rgb": spaces.Box(-np.inf, np.inf, (4, 2))}), {}, "AddRenderObservation"),
         (RGB, {"rgb_key": "rgb"}, "leave rgb_key out"),
         (spaces.Dict({"rgb": RGB, "depth": spaces.Box(0, 9, (60, 80))}), {}, "as large as the RGB image"),
@@ -92,6 +98,13 @@ def test_a_gray_image_is_read_as_colours_without_saturation(shape):
 def test_what_is_no_image_is_refused_with_the_remedy(space, arguments, hint):
     with pytest.raises(ValueError, match=hint):
         wrapped(changed(lambda seen: seen, space), **arguments)
+
+
+@pytest.mark.parametrize("keys", [(0, 1), ("0", "1"), ((0,), (1,))])
+def test_images_in_a_tuple_have_numbers(keys):
+    env = changed(lambda seen: (seen["rgb"], seen["depth"]), spaces.Tuple((RGB, DEPTH)))
+    env = wrapped(env, rgb_key=keys[0], depth_key=keys[1], features=["points3d"])
+    np.testing.assert_array_equal(env.reset(seed=0)[0], wrapped(features=["points3d"]).reset(seed=0)[0])
 
 
 def test_a_depth_that_is_no_image_is_a_number_of_the_env():
