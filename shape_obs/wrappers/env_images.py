@@ -161,9 +161,8 @@ def _put(value: Any, path: Path, image: npt.NDArray[Any]) -> Any:
 
 def _find(space: spaces.Space[Any], name: str, key: Key) -> tuple[Path, spaces.Space[Any]]:
     """Return the path that a key describes, and the space there."""
-    if isinstance(key, str) and key not in _children(space):
-        key = key.split("/")
-    parts: Path = (key,) if isinstance(key, (str, int)) else tuple(key)
+    split = key.split("/") if isinstance(key, str) and key not in _children(space) else key
+    parts: Path = (split,) if isinstance(split, (str, int)) else tuple(split)
     path: Path = ()
     for part in parts:
         known = _children(_at(space, path))
