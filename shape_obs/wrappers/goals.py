@@ -30,6 +30,7 @@ from shape_obs.geometry.polyline import catmull_rom
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 from shape_obs.shape import Shape
 from shape_obs.spec import did_you_mean
+from shape_obs.utils.lengths import warn_unless_metres
 from shape_obs.wrappers.env_protocol import has_goals
 
 Array = npt.NDArray[np.float64]
@@ -332,6 +333,8 @@ class EnvGoal:
                     f"desired_goal: expected {size} finite points (x, y, z) in the base frame, flat, "
                     f"got {array.shape}: {points[:6].tolist()} ..."
                 )
+            if not self._targets:  # the first goal: others are in the same unit
+                warn_unless_metres("desired_goal", points)
             parts = np.split(camera.from_base(points.reshape(-1, 3)), len(self.shapes))
             known = camera.intrinsics
             self._targets = tuple(

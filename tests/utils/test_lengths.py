@@ -5,11 +5,13 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
+from goal_envs import RED, FlatGoalEnv
 from rope_env import INTRINSICS, RopeEnv, wrapped
 
-from shape_obs import CameraModel, Centerline, DepthRange, ShapeDetector, Target
+from shape_obs import CameraModel, Centerline, DepthRange, ShapeDetector, ShapeObservation, Target
 from shape_obs.calibration.board import Board
 from shape_obs.calibration.hand_eye import fit_base, marker_points
 from shape_obs.camera import DepthNoise
@@ -40,7 +42,15 @@ def with_workspace(unit: float) -> Any:
     return wrapped(features=[Points3D(frame="base")], workspace=box)
 
 
+def with_goal(unit: float) -> Any:
+    inner = FlatGoalEnv(tilt=0)
+    scaled = lambda seen: {**seen, "desired_goal": unit * seen["desired_goal"]}  # noqa: E731
+    env = gym.wrappers.TransformObservation(inner, scaled, inner.observation_space)
+    return ShapeObservation(env, segmentation=RED).reset(seed=0)
+
+
 GIVEN = {
+    "desired_goal": with_goal,
     "transform_camera_to_base": lambda unit: CameraModel(INTRINSICS, pose(unit)),
     "transform_camera_to_base of": lambda unit: wrapped(
         camera={"intrinsics": INTRINSICS.to_dict(), "transform_camera_to_base": pose(unit).tolist()}
