@@ -135,6 +135,10 @@ def _check(args: Arguments) -> None:
         raise UsageError("--depth needs --intrinsics FX FY CX CY, which turn depth into 3D points.")
     if args.not_ and not args.pick:
         raise UsageError("--not needs --pick u,v: a pixel on the object.")
+    if args.save_config != Arguments.save_config and not args.pick:
+        raise UsageError("--save-config needs --pick u,v, which learns what is saved.")
+    if args.ends is not None and args.shape == "contour":
+        raise UsageError("--ends: an outline has none; leave it out.")
     _pixels(args.pick, "--pick")
     _pixels(args.not_, "--not")
     if args.config is None:

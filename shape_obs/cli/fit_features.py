@@ -115,6 +115,8 @@ def main(argv: Sequence[str]) -> int:
         raise UsageError(
             f"{recordings[0]} is not a table (.npz, .parquet, .csv): give --config FILE to find shapes in it."
         )
+    if args.set and not recordings:
+        raise UsageError("--set is for recordings; a table takes no arguments.")
     for source in args.source:
         if source not in recordings and not Path(source).is_file():
             raise FileNotFoundError(f"{source}: no such file.")

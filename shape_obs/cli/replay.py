@@ -73,6 +73,9 @@ def main(argv: Sequence[str]) -> int:
     args = parse(Arguments, with_rerun_value(argv), "shape-obs replay")
     if args.config is None and not args.verify:
         raise UsageError("give --config FILE to detect with, or --verify to check the recording.")
+    unused = [name for name in ("csv", "npz", "parquet", "video", "rerun") if getattr(args, name) is not None]
+    if args.config is None and unused:
+        raise UsageError(f"--{unused[0]} needs --config FILE, which finds the shapes that it shows.")
     tables = _tables(args)
     metadata = None if args.csv is None else args.csv.with_name(f"{args.csv.name}.meta.json")
     check_outputs(args, *tables, metadata, args.video, rerun_file(args.rerun, _rerun_base(args, tables)))

@@ -69,6 +69,8 @@ def _check(args: Arguments) -> None:
         raise UsageError("--depth and --intrinsics belong to a photo; other sources bring their own.")
     if args.depth is not None and args.intrinsics is None:
         raise UsageError("--depth needs --intrinsics FX FY CX CY, which turn depth into 3D points.")
+    if _is_photo(args) and args.extrinsics is not None and args.intrinsics is None:
+        raise UsageError("--extrinsics of a photo needs --intrinsics FX FY CX CY.")
 
 
 def _is_photo(args: Arguments) -> bool:
