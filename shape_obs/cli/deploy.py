@@ -70,6 +70,8 @@ def main(argv: Sequence[str]) -> int:
     args = parse(Arguments, with_rerun_value(argv), "shape-obs deploy", check_controller)
     box = _box(args)
     check_outputs(args, rerun_file(args.rerun, args.log or Path("deploy")))
+    if args.log is not None and args.record is not None and args.log.resolve().is_relative_to(args.record.resolve()):
+        raise UsageError(f"--log: expected a folder outside of --record {args.record}, got {args.log}.")
     from threadpoolctl import threadpool_limits
 
     with warnings_as_lines("shape-obs deploy"), threadpool_limits(1):  # small networks are slower on many threads

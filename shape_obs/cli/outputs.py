@@ -20,7 +20,7 @@ Overwrite = Annotated[bool, Option(group="output")]
 MANIFEST: Final = ".shape_obs.sha256"
 
 
-def check_outputs(args: Any, *paths: Path | None) -> None:
+def check_outputs(args: Any, *paths: Path | None, hint: str = "") -> None:
     """Check that a command may write files, before it does any work.
 
     An existing file is replaced with ``--overwrite``, or if the manifest of its folder has its checksum: a command
@@ -29,6 +29,7 @@ def check_outputs(args: Any, *paths: Path | None) -> None:
     Args:
         args: The arguments of the command. Options outside of the group "output" are what it reads.
         paths: All files that the command will write; None for those that it will not.
+        hint: What else can be done about an existing file, for the message.
 
     Raises:
         UsageError: A file would be written over an input, or twice.
@@ -51,7 +52,9 @@ def check_outputs(args: Any, *paths: Path | None) -> None:
     kept = [path for path in existing if not args.overwrite and not _is_own(path)]
     if kept:
         others = f", and so do {len(kept) - 1} others" if len(kept) > 1 else ""
-        raise FileExistsError(f"{kept[0]} exists{others}: give --overwrite to replace it, or choose another name.")
+        raise FileExistsError(
+            f"{kept[0]} exists{others}: give --overwrite to replace it, or choose another name{hint}."
+        )
 
 
 def note_output(path: Path) -> None:

@@ -59,7 +59,7 @@ def main(argv: Sequence[str]) -> int:
     args = parse(Arguments, argv, "shape-obs tune", _check)
     save = args.save or args.config or Path("shape.yaml")
     if not args.read_only and not (args.config is not None and save.exists() and save.samefile(args.config)):
-        check_outputs(args, save)
+        check_outputs(args, save, hint=f"; --config {save} goes on with it")
     with warnings_as_lines("shape-obs tune"):
         return _tune(args, save)
 

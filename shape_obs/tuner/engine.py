@@ -144,7 +144,7 @@ class Engine:
         finder = Finder(self.session)
         try:
             self.player.open()
-        except (SourceError, OSError, ValueError, ImportError) as error:
+        except Exception as error:  # noqa: BLE001 - ``start`` raises it
             self._failure = error
             self._is_open.set()
             return

@@ -43,7 +43,7 @@ WRONG = {
     "ablate": ["", "{file}", "{file} -o o --jobs 0", "{file} -o o --address auto", "{file} -o o --engine slurm"],
     "deploy": ["", "--robot nothing", "{file} --robot a:B --controller a:C", "--robot a:B --trust",
                "--robot a:B --min-valid 2", "--robot a:B --workspace-low 0", "--robot a:B --rate 0",
-               "--robot a:B --seconds 0"],
+               "--robot a:B --seconds 0", "--robot a:B --record r --log r/log"],
     "markers": ["-o m.txt", "--size 0", "--board 7 5 36 27", "--charuco --size 30", "--ids -1"],
     "calibrate base": ["", "--source d455 --frames 0", "--source d455 --max-rms 0", "--source d455 --set a"],
     "calibrate intrinsics": ["", "--source d455 --views 0", "--source d455 --board 7 5"],

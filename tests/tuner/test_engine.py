@@ -115,7 +115,10 @@ def test_a_change_is_seen_while_it_is_paused(played, photos):
     wait(lambda: "outside" in engine.result.error)
 
 
-def test_what_cannot_be_opened_is_an_error(photos, camera):
+def test_what_cannot_be_opened_is_an_error(photos, camera, monkeypatch):
+    monkeypatch.setattr(FolderSource, "connect", lambda self: {}["calibration"])  # a mistake in a class of the user's
+    with pytest.raises(KeyError, match="calibration"):
+        Engine(FolderSource(photos), Session()).start()
     with pytest.raises(BadRecording, match="no such file"):
         Engine(PhotoSource(photos / "none.png"), Session()).start()
     camera.unplug()

@@ -58,7 +58,7 @@ def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
     args = parse(Arguments, argv, "shape-obs calibrate base")
     asked = args.out.with_name(f"{args.out.stem}_touches.csv") if args.touches is None else None
-    check_outputs(args, args.out, asked)
+    check_outputs(args, args.out, asked, hint="" if asked is None else f"; --touches {asked} reads earlier answers")
     from shape_obs.calibration import read_touches
     from shape_obs.calibration.touch_points import sight
 
