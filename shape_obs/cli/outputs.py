@@ -51,10 +51,9 @@ def check_outputs(args: Any, *paths: Path | None, hint: str = "") -> None:
         check_file(path)
     kept = [path for path in existing if not args.overwrite and not _is_own(path)]
     if kept:
-        others = f", and so do {len(kept) - 1} others" if len(kept) > 1 else ""
-        raise FileExistsError(
-            f"{kept[0]} exists{others}: give --overwrite to replace it, or choose another name{hint}."
-        )
+        names = ", ".join(map(str, kept[:3])) + (f" and {len(kept) - 3} more" if len(kept) > 3 else "")
+        verb, them, others = ("exist", "them", "other names") if len(kept) > 1 else ("exists", "it", "another name")
+        raise FileExistsError(f"{names} {verb}: give --overwrite to replace {them}, or choose {others}{hint}.")
 
 
 def note_output(path: Path) -> None:

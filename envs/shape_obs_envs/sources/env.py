@@ -187,7 +187,7 @@ class EnvSource(SequenceSource):
             return gym.make(self._given, **self._options)
         except Exception as error:  # environments raise anything about their arguments
             kind = SourceError if not self._options or isinstance(error, (ImportError, RuntimeError)) else BadSettings
-            cause = error.__cause__ or error  # Gymnasium repeats the arguments in a message of its own
+            cause = error.__cause__ or error  # Gymnasium's own message repeats all arguments
             name = "" if isinstance(cause, (ValueError, TypeError, gym.error.Error)) else f"{type(cause).__name__}: "
             hint = hint_at_argument(cause, EnvSource, _class_of(self._given))
             raise kind(f"{self._given}: the environment cannot be made: {name}{cause}{hint}") from error
