@@ -155,10 +155,12 @@ def _checked_depth(given: Any) -> npt.NDArray[Any]:
         whole = isinstance(depth, np.ndarray) and depth.dtype.kind in "iu"
         hint = "; of whole millimetres give depth.astype(np.uint16)" if whole else ""
         raise TypeError(f"depth: expected uint16 millimetres or floating metres, got {_describe(depth)}{hint}.")
-    steps = steps_to_depth(depth.shape)
-    if steps is None:
-        raise ValueError(f"depth: expected shape (H, W), got {depth.shape}.")
-    return _as_stored(apply(depth, steps) if steps else depth)
+    if depth.ndim != 2 or depth.size == 0:
+        steps = steps_to_depth(depth.shape)
+        if steps is None:
+            raise ValueError(f"depth: expected shape (H, W), got {depth.shape}.")
+        depth = apply(depth, steps)
+    return _as_stored(depth)
 
 
 def _size(image: npt.NDArray[Any]) -> str:

@@ -71,11 +71,11 @@ class MaskHints:
             rule: The rule, which found an object.
             frame: The images.
         """
-        if rule is None or rule in self.looked:
+        if not isinstance(rule, HSVRange) or rule in self.looked:
             return
         self.looked.add(rule)
-        around = across_red(rule) if isinstance(rule, HSVRange) else None
-        if around is None or not isinstance(rule, HSVRange) or frame.rgb is None:
+        around = across_red(rule)
+        if around is None or frame.rgb is None:
             return
         found = rule.matches(frame.rgb) > 0
         labels, stats = map(np.asarray, cv2.connectedComponentsWithStats(around.matches(frame.rgb))[1:3])

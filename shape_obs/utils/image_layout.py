@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from operator import itemgetter, methodcaller
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-_GREY, _RGB, _RGBA = 1, 3, 4  # channels
+_GRAY, _RGB, _RGBA = 1, 3, 4  # channels
 
 
 class Step(NamedTuple):
@@ -18,29 +19,34 @@ class Step(NamedTuple):
     apply: Callable[[npt.NDArray[Any]], npt.NDArray[Any]]
 
 
-_UNBATCH: Final = Step("{}[0]", lambda image: image[0])
-_LAST: Final = Step("{}.transpose(1, 2, 0)", lambda image: image.transpose(1, 2, 0))
-_OPAQUE: Final = Step("{}[..., :3]", lambda image: image[..., :3])
-_SQUEEZE: Final = Step("{}[..., 0]", lambda image: image[..., 0])
-_COLOUR: Final = Step("np.dstack(3 * [{}])", lambda image: np.repeat(image[..., None], 3, axis=-1))
+def _as_colours(gray: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    return np.repeat(gray[..., None], _RGB, axis=-1)
+
+
+# Functions that can be pickled, as wrappers are.
+_UNBATCH: Final = Step("{}[0]", itemgetter(0))
+_LAST: Final = Step("{}.transpose(1, 2, 0)", methodcaller("transpose", 1, 2, 0))
+_OPAQUE: Final = Step("{}[..., :3]", itemgetter((..., slice(_RGB))))
+_SQUEEZE: Final = Step("{}[..., 0]", itemgetter((..., 0)))
+_COLOUR: Final = Step("np.dstack(3 * [{}])", _as_colours)
 
 
 def steps_to_rgb(shape: Sequence[int]) -> list[Step] | None:
-    """Return the steps that make ``(H, W, 3)`` of an image of a shape: batched, channels first, RGBA or grey.
+    """Return the steps that make ``(H, W, 3)`` of an image of a shape: batched, channels first, RGBA or gray.
 
     None if the shape is not that of one image.
     """
-    steps = _to_channels_last(shape, (_GREY, _RGB, _RGBA))
+    steps = _to_channels_last(shape, (_GRAY, _RGB, _RGBA))
     if steps is None:
         return None
     channels = shape_after(shape, steps)[2:]
-    more = {(): [_COLOUR], (_GREY,): [_SQUEEZE, _COLOUR], (_RGB,): [], (_RGBA,): [_OPAQUE]}
+    more = {(): [_COLOUR], (_GRAY,): [_SQUEEZE, _COLOUR], (_RGB,): [], (_RGBA,): [_OPAQUE]}
     return [*steps, *more[channels]]
 
 
 def steps_to_depth(shape: Sequence[int]) -> list[Step] | None:
     """Return the steps that make ``(H, W)`` of a depth image of a shape; None if it is not that of one image."""
-    steps = _to_channels_last(shape, (_GREY,))
+    steps = _to_channels_last(shape, (_GRAY,))
     if steps is None:
         return None
     return [*steps, *([_SQUEEZE] if len(shape_after(shape, steps)) == 3 else [])]

@@ -22,8 +22,8 @@ _FULL: Final = 255
 _STATE: Final = "For state observations add images first, e.g. with gymnasium.wrappers.AddRenderObservation."
 _STACKED: Final = "These look like stacked frames: put ShapeObservation below the wrapper that stacks them."
 _RESCALE: Final = (
-    "Make its values uint8 0...255, or floats 0...1 with these bounds in the space, and depth an image under a key of "
-    "its own, e.g. with gymnasium.wrappers.TransformObservation."
+    "Make its values uint8 0...255, or floats 0...1 with these bounds in the space, and give depth its own key, e.g. "
+    "with gymnasium.wrappers.TransformObservation."
 )
 
 
@@ -94,7 +94,7 @@ class Images:
     """The images in an env's observation.
 
     Colours may be uint8, floats in 0...1 or numbers in 0...255, as ``(H, W, 3)``, ``(3, H, W)``, with an opacity as
-    fourth channel, or grey; depth uint16 in millimetres or floats in metres, as ``(H, W)``, ``(H, W, 1)`` or
+    fourth channel, or gray; depth uint16 in millimetres or floats in metres, as ``(H, W)``, ``(H, W, 1)`` or
     ``(1, H, W)``. All may have a leading 1, a batch of one.
 
     Args:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from typing import Any
 
 import gymnasium as gym
@@ -12,8 +13,10 @@ from gymnasium import spaces
 from rope_env import RopeEnv, run, walk, wrapped
 
 from shape_obs import GrayRange, ShapeObservation
+from shape_obs.wrappers.env_images import Images
 from shape_obs_envs.d455 import D455Noise
 
+COLOUR_AND_DEPTH = np.tile(np.array([1, 1, 1, 9], np.float32), (9, 9, 1))  # the upper bounds of four channels
 RGB, DEPTH = spaces.Box(0, 255, (120, 160, 3), np.uint8), spaces.Box(0.0, 10.0, (120, 160), np.float32)
 
 
@@ -66,6 +69,8 @@ def test_other_layouts_give_the_same_points(rgb, space, depth, deep):
     env = changed(lambda seen: {"rgb": rgb(seen["rgb"]), "depth": depth(seen["depth"].astype(np.float64))}, both)
     for mine, its in zip(run(wrapped(env)), run(wrapped()), strict=True):
         np.testing.assert_array_equal(mine[0], its[0])
+    images, seen = Images.find(both), env.reset(seed=0)[0]
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(images)).read(seen)[0], images.read(seen)[0])
 
 
 @pytest.mark.parametrize("shape", [(120, 160), (120, 160, 1), (1, 120, 160)])
@@ -84,7 +89,11 @@ def test_a_gray_image_is_read_as_colours_without_saturation(shape):
         (spaces.Dict({"rgb": byte(120, 160, 12)}), {}, "stacked frames"),
         (spaces.Dict({"rgb": spaces.Box(-1, 1, (120, 160, 3))}), {}, "TransformObservation"),
         (spaces.Dict({"rgb": spaces.Box(0, 1, (120, 160, 3), np.uint8)}), {}, "TransformObservation"),
-        (spaces.Dict({"rgb": spaces.Box(np.zeros((9, 9, 4)), np.tile([1.0, 1, 1, 9], (9, 9, 1)))}), {}, "under a key"),
+        (
+            spaces.Dict({"rgb": spaces.Box(0, COLOUR_AND_DEPTH)}),
+            {},
+            "its own key",
+        ),
         (spaces.Dict({"rgb": spaces.Box(-np.inf, np.inf, (4, 2))}), {}, "AddRenderObservation"),
         (RGB, {"rgb_key": "rgb"}, "leave rgb_key out"),
         (spaces.Dict({"rgb": RGB, "depth": spaces.Box(0, 9, (60, 80))}), {}, "as large as the RGB image"),
