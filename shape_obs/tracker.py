@@ -20,7 +20,10 @@ from shape_obs.geometry.observed import Observed
 from shape_obs.shape import Shape
 from shape_obs.tracking.clock import Clock
 from shape_obs.tracking.missing import lost_shape
-from shape_obs.tracking.prediction import Fit, Prediction, Reach, Track, advance, predict
+from shape_obs.tracking.predicted_rope import direction
+from shape_obs.tracking.prediction import Fit, Prediction, Track, advance, predict
+from shape_obs.tracking.speed_gate import LARGER, WHOLE, Candidate, SpeedGate, View, is_as_large
+from shape_obs.tracking.validation import MAX_OFF
 
 Array = npt.NDArray[np.float64]
 
@@ -65,11 +68,15 @@ class Tracker:
         self.track: Track | None = None
         self.strand: tuple[Array, float] | None = None
         self._gone = False  # lost for longer than ``max_age``
-        self._reach = Reach(config.max_speed)
+        self._gate = SpeedGate(config.max_speed)
+        self._candidate: Candidate | None = None  # what is seen while the track finds nothing
+        self._before, self._begun = self._candidate, -math.inf  # the same before this frame, and the frame's time
         self._kind: tuple[type[Observed], tuple[int, int]] | None = None
         self._number = 0  # of the last track
         self._last: Shape | None = None
         self._seen_at = 0.0
+        self._seen_area, self._area = 0, 0.0  # in the last frame, and of the object; pixels or points
+        self._misplaced = False  # whether the points of the last frame lie off the object, which is in plain sight
 
     @property
     def trackers(self) -> tuple[Tracker, ...]:
@@ -80,22 +87,29 @@ class Tracker:
         """Return where the shape should be; None if it is unknown."""
         kind = type(observed), moment.size
         if self._kind is not None and self._kind != kind:
-            self.track = self._last = None  # pixels cannot be compared with metres, or those of another size
+            self.track = self._last = self._candidate = (
+                None  # pixels cannot be compared with metres, or those of another size
+            )
         self._kind = kind
         return self.foresee(observed, moment)
 
     def foresee(self, observed: Observed, moment: Moment) -> Prediction | None:
         """Return where the track goes, whatever the shape was observed as; None without a track."""
-        return predict(self.track, observed, moment.clock.now, self._gone)
+        if self.track is None:
+            return None
+        camera, now = moment.frame.camera if moment.in_3d else None, moment.clock.now
+        focal = 0.0 if camera is None else camera.intrinsics.fx
+        reach = self._gate.reach(self.track, now - self.track.stamp, focal, moment.size[1])
+        return predict(self.track, observed, now, self._gone, reach)
 
-    def target(self, moment: Moment) -> Array | None:
+    def target(self, moment: Moment, *, anew: bool = False) -> Array | None:
         """Return where point 0 belongs if the shape is to be numbered in this frame; None if its place is free.
 
         Raises:
             ValueError: The anchor cannot be resolved.
         """
         spec = self.spec
-        if spec.anchor is None or not (self.track is None or self._gone or spec.order == "image"):
+        if spec.anchor is None or not (anew or self.track is None or self._gone or spec.order == "image"):
             return None
         return (anchor_pixel if moment.in_2d else anchor_point)(spec, moment.anchors, moment.frame.camera)
 
@@ -103,9 +117,10 @@ class Tracker:
         """Fit the shape to what was observed, and advance its track."""
         prediction, target = self.expect(observed, moment), self.target(moment)
         if observed.refusal:
+            self._candidate = None
             return Fit(reason=observed.refusal)
         found = self.spec.fit(observed, prediction, target, scene)
-        return self.accept(found, observed, prediction, target, moment, scene)
+        return self.accept(found, observed, prediction, target, moment, scene, alone=True)
 
     def accept(
         self,
@@ -115,16 +130,19 @@ class Tracker:
         target: Array | None,
         moment: Moment,
         scene: Scene,
+        *,
+        alone: bool = False,
     ) -> Fit:
-        """Advance the track to a fit, unless it is another object's; number its points."""
+        """Advance the track to a fit, unless it is another object's; number its points.
+
+        If ``alone``, all that was observed may be the object, also if it is not where the track expects it.
+        """
         spec, now = self.spec, moment.clock.now
-        if self.track is not None and prediction is not None and (not found.reason or found.follow):
-            view = scene.images, 0.0 if scene.intrinsics is None else scene.intrinsics.fx
-            if far := self._reach.exceeded(spec.name, self.track, found, now, view, moment.size[1]):
-                found = spec.fit(observed, None, target, scene) if prediction.stale else Fit(reason=far)
+        if self.track is not None and prediction is not None:
+            found = self._checked(found, observed, prediction, moment, scene, alone and spec.is_ribbon)
         if not found.reason or found.follow:
             track = None if found.new or self._gone else self.track
-            self._gone = False
+            self._gone, self._candidate = False, None
             self._number = self._number + 1 if track is None else track.track_id
             found = found._replace(track_id=self._number)
             self.track = advance(track, found, observed, now)
@@ -136,7 +154,75 @@ class Tracker:
                 from shape_obs.configurations.cluster_assignment import assign_centres  # the map needs none
 
                 found = assign_centres(found, observed, spec, self._config.clustering)
+        self._misplaced, self._seen_area = bool(found.reason) and self._is_misplaced(observed), observed.area
         return found
+
+    def _checked(
+        self, found: Fit, observed: Observed, expected: Prediction, moment: Moment, scene: Scene, alone: bool
+    ) -> Fit:
+        """Return a fit if the object can be there; else what is seen instead, once it is believed, or why not."""
+        now, track = moment.clock.now, self.track
+        assert track is not None
+        if self._begun != now:  # a frame is looked at twice, in a window and as a whole
+            self._begun, self._before = now, self._candidate
+        before, view = self._before, View(scene.images, scene.intrinsics, moment.size[1])
+        far = ""
+        if not found.reason or found.follow:
+            on_path = before is not None and before.leads_to(found, observed, now, self._gate, view)
+            seconds = (before.begun if before is not None and on_path else now) - track.stamp
+            assert found.nodes is not None
+            far = self._gate.exceeded(found.nodes, track, expected, seconds, view)
+            if not far:
+                return found
+            if expected.stale and not (before is not None and before.joined):
+                return self.spec.fit(observed, None, self.target(moment), scene)
+        elif not alone:
+            return found
+        seen = self._candidate_in(found, observed, expected, moment, scene, view)
+        if before is None or self._candidate is None or not self._candidate.believed:
+            return found._replace(reason=far or found.reason, follow=False)
+        if self._candidate.joined:
+            self.track, self._gone = before.track, False
+            return seen
+        fresh = Fit() if before.own else self.spec.fit(observed, None, self.target(moment, anew=True), scene)
+        return (seen if before.own or fresh.reason else fresh)._replace(new=True)
+
+    def _candidate_in(
+        self, found: Fit, observed: Observed, expected: Prediction, moment: Moment, scene: Scene, view: View
+    ) -> Fit:
+        """Follow the candidate, or begin another one with a fit that is out of reach, or cold; return its fit."""
+        spec, gate, now, before, track = self.spec, self._gate, moment.clock.now, self._before, self.track
+        assert track is not None
+        self._candidate = None
+        if before is not None:
+            seen = spec.fit(observed, before.ahead(observed, now), None, scene)._replace(track_id=track.track_id)
+            if before.leads_to(seen, observed, now, gate, view):
+                self._candidate = before.continued(advance(before.track, seen, observed, now))
+                if before.frames == 0:
+                    joins = before.joins and gate.joins(self._candidate, before.track.nodes, track, expected, view)
+                    self._candidate = self._candidate._replace(joins=joins)
+                return seen
+        own = False
+        if found.reason and not found.follow:
+            if observed.area > LARGER * self._area:  # noise, or another object: no time is lost
+                return found
+            found = spec.fit(observed, None, np.ascontiguousarray(track.nodes[0]), scene)
+            if found.reason or found.nodes is None or not is_as_large(found, track, now):
+                return found
+            own = direction(found.nodes, expected) <= 0
+            found = spec.fit(observed, None, self.target(moment, anew=True), scene) if own else found
+        begun = advance(None, found._replace(track_id=track.track_id), observed, now)
+        self._candidate = Candidate(begun, now, 0, 0 if before is None else before.refused + 1, not own, own)
+        return found
+
+    def _is_misplaced(self, observed: Observed) -> bool:
+        """Return whether the points that are held lie off the object, of which nothing seems to be hidden."""
+        last = self._last
+        points = None if last is None else last.points3d if observed.dimension == 3 else last.points2d
+        if points is None or (observed.area < WHOLE * self._area and self._candidate is None):
+            return False
+        known = points[np.isfinite(points).all(axis=1)].astype(np.float64)
+        return len(known) > 0 and float(np.mean(~observed.carries(known))) > MAX_OFF
 
     def cross(self, shape: Shape, crossings: tuple[Crossing, ...]) -> Shape:
         """Return the shape that was found with its crossings, which it keeps while it is held."""
@@ -156,11 +242,13 @@ class Tracker:
         """Turn a form into ordered points, in space if there is depth; or apply the policy for a lost shape."""
         spec, config, clock, last = self.spec, self._config, moment.clock, self._last
         self.strand = None
+        misplaced, self._misplaced = self._misplaced, False
         diagonal = math.hypot(*moment.size)
         if not (reason := found.reason):  # depth enters: -> points
             shape = shape_of(spec, found, moment.frame, last, config.on_invalid, diagonal)
             if not (reason := shape.reason):
                 self._last, self._seen_at = shape, clock.now
+                self._area = self._seen_area / max(float(np.mean(shape.visible)), 1e-9)
                 if spec.is_ribbon and moment.in_2d:
                     points = found.form.points[::2]  # every half a width, which is fine enough to cross
                     points = points if points.shape[1] == 2 else shape.pixels.astype(np.float64)
@@ -175,6 +263,6 @@ class Tracker:
                 self.track = None
         return lost_shape(
             spec.name, spec.layout, reason=f"{reason}; {clock.warning}" if clock.warning else reason,
-            in_2d=moment.in_2d, in_3d=moment.in_3d, last=last, age=age,
-            max_age=config.max_age, policy=config.on_missing, diagonal=diagonal,
+            in_2d=moment.in_2d, in_3d=moment.in_3d, last=last, age=age, held=age <= config.max_age and not misplaced,
+            policy=config.on_missing, diagonal=diagonal,
         )  # fmt: skip

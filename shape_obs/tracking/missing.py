@@ -29,13 +29,13 @@ def lost_shape(
     in_3d: bool,
     last: Shape | None,
     age: float,
-    max_age: float,
+    held: bool,
     policy: OnMissing,
     diagonal: float,
 ) -> Shape:
     """Return the shape that stands in for one that was not found.
 
-    ``"hold"`` repeats the last points and stays ok for ``max_age`` seconds; ``"truncate"`` repeats them too, never ok
+    ``"hold"`` repeats the last points, which stay ok while they are ``held``; ``"truncate"`` repeats them too, never ok
     (the wrapper ends the episode); ``"nan"`` forgets them; ``"raise"`` raises. No point is visible or valid, and
     ``sigma`` grows with age up to its bound; it is the bound where no points are known.
 
@@ -47,7 +47,7 @@ def lost_shape(
         in_3d: Whether points3d are wanted.
         last: The shape when it was last found.
         age: Seconds since then.
-        max_age: See above.
+        held: Whether its last points may still be used: they are young enough, and do not lie off what is seen of it.
         policy: See above.
         diagonal: Of the image, pixels: the bound of ``sigma`` in pixels.
 
@@ -68,7 +68,7 @@ def lost_shape(
     if points3d is None and in_3d:
         points3d = np.full((layout.size, 3), np.nan, np.float32)
     sigma = aged(sigma, age, diagonal if points3d is None else MAX_SIGMA)
-    ok = policy == "hold" and age <= max_age and was_found
+    ok = policy == "hold" and held and was_found
     return replace(
         last, points3d=points3d, visible=no_point, valid=no_point, ok=ok, quality=0.0, reason=reason, age=age,
         sigma=sigma, new=False,

@@ -65,6 +65,11 @@ class Tips(NamedTuple):
         """What is known, and the shapes as compiled code takes them."""
         return self.known, _NO_SHAPES if self.shapes is None else self.shapes
 
+    @property
+    def covered(self) -> tuple[bool, bool]:
+        """Whether something is seen to hide the first and the last."""
+        return self.known[0] == HIDDEN, self.known[1] == HIDDEN
+
     def reversed(self) -> Tips:
         """Return the tips of the curve run through backwards."""
         shapes = None if self.shapes is None else self.shapes[::-1].copy()

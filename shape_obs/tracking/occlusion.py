@@ -65,7 +65,7 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips, match: Fo
     """
     before = prediction.hints
     if match is None or not match[0].clear:
-        form, back = oriented(form, PredictedRope(prediction, form), before.length)
+        form, back = oriented(form, PredictedRope(prediction, form), before.length, tips)
         tips = tips.reversed() if back else tips
         match = match_to_rope(*_seen(form), *tips.seen, *known_rope(prediction, form.width), True)
     found, stations, length, own = match

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from operator import ne
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve, Length
 from shape_obs.geometry.polyline import interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
+from shape_obs.tracking.occluders import Tips
 from shape_obs.tracking.placement import INDEPENDENT, NOISE, PROBES, TRUST
 from shape_obs.tracking.prediction import Prediction
 
@@ -22,24 +24,41 @@ _UNSEEN: Final = 30.0  # squared standard deviations: a piece that lies where al
 _CLEAR: Final = 3.0  # how much nearer ends lie to their own places than to each other's
 _ASKEW: Final = 0.6  # widths: of the visible piece next to a hidden end, which may follow the cut
 _SURE: Final = 8.0  # squared standard deviations by which the other direction has to be less likely
+_UNCOVERING: Final = 2.0  # in a second, an end goes out of sight or comes to light, about
 _PLACES: Final = 7  # along the rope, at which a piece is compared with it to find its direction
 _FEWEST: Final = 6  # nodes of a visible piece
 
 
-def oriented(form: FittedCurve, rope: PredictedRope, length: Length) -> tuple[FittedCurve, bool]:
+def oriented(form: FittedCurve, rope: PredictedRope, length: Length, tips: Tips) -> tuple[FittedCurve, bool]:
     """Return a curve in the direction of the predicted rope, of which it may be a piece, and whether it was reversed.
 
-    A direction that is in doubt is noted as the curve's ambiguity.
+    What hides an end, such as the image's border, hides it still. A direction that is in doubt is noted as the curve's
+    ambiguity.
     """
     if _is_along(rope.points_of(form), rope.nodes):
         return form, False
+    if way := direction(form.points, rope.prediction):
+        return (form, False) if way > 0 else (form.reversed(), True)
     whole = length.metres if form.metres is not None else length.pixels
     seen = min(float(form.stations[-1]) / whole, 1.0) if whole > 0 else 1.0
     back = form.reversed()
-    off, off_back = (rope.doubt(curve, seen) for curve in (form, back))
+    uncovered = -2 * math.log(math.tanh(max(_UNCOVERING * rope.prediction.seconds, 1e-9)))  # a chain of two states
+    off, off_back = (
+        rope.doubt(curve, seen) + uncovered * sum(map(ne, rope.prediction.hints.covered, covered))
+        for curve, covered in ((form, tips.covered), (back, tips.covered[::-1]))
+    )
     if abs(off - off_back) < _SURE:
         form, back = (replace(curve, ambiguity="it is in doubt where the rope begins") for curve in (form, back))
     return (back, True) if off_back < off else (form, False)
+
+
+def direction(points: Array, prediction: Prediction) -> int:
+    """Return whether the ends of a curve must have come from their own places (1), or each other's (-1); else 0."""
+    if math.isinf(prediction.reach):
+        return 0
+    before = prediction.last[[0, -1]]
+    own, other = (float(np.linalg.norm(points[ends] - before, axis=1).mean()) for ends in ([0, -1], [-1, 0]))
+    return int(own <= prediction.reach < other) - int(other <= prediction.reach < own)
 
 
 class Nodes(NamedTuple):
@@ -81,6 +100,7 @@ class PredictedRope:
         form: What it is compared with: in the image, if its relief is not known.
 
     Attributes:
+        prediction: See above.
         nodes: ``(K, D)``.
         points: ``(K + 2, D)`` the nodes, and the tips in front of and behind them.
         share: ``(K + 2,)`` where the points lie along the rope, 0...1.
@@ -88,6 +108,7 @@ class PredictedRope:
     """
 
     def __init__(self, prediction: Prediction, form: FittedCurve | None = None) -> None:
+        self.prediction = prediction
         nodes, self.hidden, self.folded = prediction.nodes, prediction.hints.hidden, prediction.hints.folded
         self.lifted = prediction.relief is not None and (form is None or form.relief is not None)
         if prediction.relief is not None and self.lifted:

@@ -9,12 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages
 from shape_obs.geometry.curve import FittedForm, TrackHints
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.outline import with_turning
 from shape_obs.geometry.topology import Topology
-from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.image.roi import Window
 
 Array = npt.NDArray[np.float64]
@@ -23,7 +21,6 @@ _VELOCITY_SHARE: Final = 0.8
 MAX_SIZE_CHANGE: Final = 0.06  # of the size, from one frame to the next
 _MAX_WIDTH_CHANGE: Final = 0.02
 _WIDTH_NOISE: Final = 0.03
-_ASKED: Final = 64  # nodes of a form and of the track that are compared
 _STEADY: Final = 0.003  # of its area, by which an object that is seen as a whole changes from frame to frame
 _LEAST_INTERVAL: Final = 1e-6  # seconds; stamps that are closer give no velocity
 _NOTHING: Final = np.zeros(0)
@@ -120,6 +117,9 @@ class Prediction(NamedTuple):
         relief: ``(K,)`` depth at the nodes in an image, see ``FittedCurve.relief``; None without depth.
         lapse: How long ago the object was seen last, in intervals of the track, at least 1.
         motion: How far the nodes are expected to have moved, RMS.
+        last: ``(K, D)`` where the nodes were; empty if that is not known.
+        seconds: Since then.
+        reach: How far they can have moved since; infinity without a limit.
     """
 
     nodes: Array
@@ -133,6 +133,9 @@ class Prediction(NamedTuple):
     relief: Array | None = None
     lapse: float = 1.0
     motion: float = 0.0
+    last: Array = np.empty((0, 2))
+    seconds: float = math.inf
+    reach: float = math.inf
 
     @property
     def reference(self) -> Array:
@@ -140,10 +143,13 @@ class Prediction(NamedTuple):
         return self.nodes if self.hints.reference is None else self.hints.reference
 
 
-def predict(track: Track | None, observed: Observed, stamp: float, stale: bool = False) -> Prediction | None:
+def predict(
+    track: Track | None, observed: Observed, stamp: float, stale: bool = False, reach: float = math.inf
+) -> Prediction | None:
     """Predict the nodes at ``stamp``: the last place plus most of the last step; None without a track.
 
     Nothing is extrapolated farther than the last interval, so a shape that was lost is searched near its last place.
+    ``stale`` and ``reach`` are those of the prediction.
     """
     if track is None:
         return None
@@ -154,7 +160,8 @@ def predict(track: Track | None, observed: Observed, stamp: float, stale: bool =
     steady = abs(observed.area - track.area) <= _STEADY * track.area
     known = track.size, track.topology, track.hints, observed.resolution, track.width
     lapse = since / track.interval if track.interval > 0 else 1.0
-    return Prediction(nodes, *known, steady, stale, relief if climb is None else deep, max(lapse, 1.0), motion)
+    deep, lapse = relief if climb is None else deep, max(lapse, 1.0)
+    return Prediction(nodes, *known, steady, stale, deep, lapse, motion, track.nodes, since, reach)
 
 
 def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -> Track:
@@ -206,84 +213,6 @@ def rates(
     return (velocity if turning == 1 else with_turning(nodes, velocity, turning)), climb
 
 
-class Reach:
-    """Notice what cannot be the object that was tracked, because no object of this kind moves so fast.
-
-    Args:
-        max_speed: Metres a second with depth and in clouds, image widths a second without; None for no limit.
-    """
-
-    def __init__(self, max_speed: float | None) -> None:
-        self._max_speed = max_speed
-        self._elsewhere: dict[str, float] = {}  # seconds after which something was seen out of reach
-
-    def exceeded(
-        self, name: str, track: Track, found: Fit, stamp: float, view: tuple[DepthImages, float], width: int
-    ) -> str:
-        """Return why a form is another object's than the one that was tracked; empty if it is not.
-
-        What was seen elsewhere once does not come within reach by waiting.
-
-        Args:
-            name: Of the shape.
-            track: Where the object was.
-            found: Where the form is.
-            stamp: Seconds.
-            view: The frame's depth, see ``frame.depth_images``, and the focal length in pixels; 0 without a camera.
-            width: Of the image, pixels.
-        """
-        nodes, (depth, focal) = found.nodes, view
-        if self._max_speed is None or nodes is None or nodes.shape[1] != track.nodes.shape[1]:
-            return ""
-        since = min(stamp - track.stamp, self._elsewhere.get(name, np.inf))
-        in_image = nodes.shape[1] == 2
-        moved, away = typical_motion(nodes, track.nodes, depth)
-        most, unit = self._max_speed * since, "m"
-        if in_image and focal > 0 and away > 0:
-            moved *= away / focal
-        elif in_image:
-            most, unit = most * width, "px"
-        if moved <= most:
-            self._elsewhere.pop(name, None)
-            return ""
-        self._elsewhere[name] = since
-        return f"it lies {moved:.3g} {unit} from where the shape was (at most {most:.3g} after {since:.2g} s)"
-
-
-@compiled("(f8[:,::1], f8[:,::1], " + DEPTH_TYPE + ")")
-def typical_motion(nodes: Array, before: Array, depth: DepthImages) -> tuple[float, float]:
-    """Return the median distance of the nodes of a track to the nearest of a form's, and the median depth there.
-
-    Args:
-        nodes: ``(K, D)`` of the form; at most 64 of them are compared.
-        before: ``(K', D)`` of the track; the same.
-        depth: The frame's, see ``frame.depth_images``.
-
-    Returns:
-        In the unit of the nodes; metres, 0 where there is no depth.
-    """
-    step, stride = -(-len(nodes) // _ASKED), -(-len(before) // _ASKED)
-    apart, away, known = np.empty(-(-len(before) // stride)), np.empty(len(nodes)), 0
-    for k in range(0, len(before), stride):
-        least = np.inf
-        for j in range(0, len(nodes), step):
-            square = 0.0
-            for d in range(nodes.shape[1]):
-                square += (nodes[j, d] - before[k, d]) ** 2
-            least = min(least, square)
-        apart[k // stride] = math.sqrt(least)
-    (millimetres, metric), (high, wide) = depth, depth[0].shape if len(depth[0]) > 0 else depth[1].shape
-    if high > 0:
-        for j in range(0, len(nodes), step):
-            u = min(max(nearest_pixel(nodes[j, 0]), 0), wide - 1)
-            v = min(max(nearest_pixel(nodes[j, 1]), 0), high - 1)
-            metres = millimetres[v, u] * MILLIMETRE if len(millimetres) > 0 else float(metric[v, u])
-            if 0 < metres < FARTHEST:
-                away[known] = metres
-                known += 1
-    return np.median(apart), np.median(away[:known]) if known else 0.0
-
-
 def _believed(change: float) -> float:
     """Return the part of a width's relative change that is not noise, limited per frame."""
     if abs(change) <= _WIDTH_NOISE:
@@ -295,6 +224,3 @@ def _drift(before: Window, after: Window) -> int:
     """Return by how much the edges of a box have moved, at most, pixels."""
     (a, b, c, d), (e, f, g, h) = before, after
     return max(abs(a - e), abs(b - f), abs(a + c - e - g), abs(b + d - f - h))
-
-
-TRACK_FUNCTIONS: Final = extrapolated, rates, typical_motion

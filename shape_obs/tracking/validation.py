@@ -17,7 +17,7 @@ from shape_obs.geometry.topology import Grid
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-_MAX_OFF: Final = 0.10
+MAX_OFF: Final = 0.10
 _MAX_SPREAD: Final = 0.40
 _IDEAL_SPREAD: Final = 12**-0.5
 _JUDGED: Final = 150  # samples are enough to measure how far a mask spreads about a curve
@@ -108,8 +108,8 @@ def validate_ribbon(
     unsupported = curve.unsupported_fraction if np.count_nonzero(curve.interpolated) else 0.0
     hidden = min(unsupported, expected_off)
     off = unsupported - hidden
-    if off > _MAX_OFF:
-        return FitQuality(f"{off:.0%} of the curve lies off the {noun} (at most {_MAX_OFF:.0%})", 0.0)
+    if off > MAX_OFF:
+        return FitQuality(f"{off:.0%} of the curve lies off the {noun} (at most {MAX_OFF:.0%})", 0.0)
     if area:
         width = max(area / max(float(curve.arc[-1]) * (1 - hidden), 1e-9), 1.0)
     ratio = spread**0.5 / max(width, 1e-9)
@@ -120,7 +120,7 @@ def validate_ribbon(
             0.0,
         )
     excess = (ratio - _IDEAL_SPREAD) / (_MAX_SPREAD - _IDEAL_SPREAD)
-    return FitQuality("", ((1 - max(off, 0.0) / _MAX_OFF) * min(max(1 - excess, 0.0), 1.0)) ** 0.5)
+    return FitQuality("", ((1 - max(off, 0.0) / MAX_OFF) * min(max(1 - excess, 0.0), 1.0)) ** 0.5)
 
 
 def doubt_in_space(curve: FittedCurve) -> str:
@@ -196,8 +196,8 @@ def validate_sheet(
     reason = ""
     if stray[1] > freedom:
         reason = f"corner {stray[0]} strays by {stray[1]:.0%} of half a diagonal from where the other three have moved"
-    elif off > _MAX_OFF:
-        reason = f"{off:.0%} of the lattice lies off the {noun} (at most {_MAX_OFF:.0%})"
+    elif off > MAX_OFF:
+        reason = f"{off:.0%} of the lattice lies off the {noun} (at most {MAX_OFF:.0%})"
     elif abs(corner - 90) > _MAX_SKEW:
         reason = f"a corner of the lattice has {corner:.0f} degrees (90 and {_MAX_SKEW:.0f} more or less)"
     elif folds > _MAX_FOLDS:
@@ -217,7 +217,7 @@ def validate_sheet(
     if reason:
         return FitQuality(reason, 0.0)
     bent = max(kink - _IDEAL_KINK, 0.0) / (_MAX_KINK - _IDEAL_KINK)
-    shares = (1 - off / _MAX_OFF) * (1 - bent) * (1 - winding / _MAX_WINDING) * (1 - uneven / _MAX_UNEVEN)
+    shares = (1 - off / MAX_OFF) * (1 - bent) * (1 - winding / _MAX_WINDING) * (1 - uneven / _MAX_UNEVEN)
     return FitQuality("", shares**0.5)
 
 

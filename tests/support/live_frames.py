@@ -22,7 +22,7 @@ from shape_obs.compiled import decorator
 from shape_obs.configurations.shape_points import SHAPE_FUNCTIONS
 from shape_obs.geometry.polyline import nearest_along
 from shape_obs.image.find_region import prepare
-from shape_obs.tracking.prediction import TRACK_FUNCTIONS
+from shape_obs.tracking.speed_gate import TRACK_FUNCTIONS
 from tests.scenes.blobs import random_blob
 from tests.scenes.clouds import moving_rope_cloud, ring_cloud, rope_cloud, sheet_cloud
 from tests.scenes.flat_objects import View, cloth, ring, under_hand

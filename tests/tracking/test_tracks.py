@@ -19,6 +19,7 @@ from shape_obs.geometry.topology import Chain
 from shape_obs.image.roi import Window
 from shape_obs.tracking import search_window
 from shape_obs.tracking.prediction import Fit, Prediction, Track, advance, predict
+from tests.scenes.beams import swinging_beam, tracked_beam
 
 NODES = np.stack([np.linspace(10, 90, 9), np.full(9, 50.0)], axis=1)
 
@@ -246,6 +247,34 @@ def test_what_was_hidden_at_first_is_seen_before_long():
     ends = [detector.detect_mask(back).shapes[0].points2d[-1, 0] for _ in range(30)]
     assert max(ends) > 590
     assert detector.detect_mask(back).shapes[0].points2d[-1, 0] > 590
+
+
+@pytest.mark.parametrize(
+    ("places", "refused", "track"),
+    [
+        ([120, 165, 210, 255, 300, 345], 5, 1),  # it moves on nearly as fast as it has come, which is the object
+        ([120, 120, 120, 120, 120, 120], 5, 2),  # another object, at rest
+        ([120, 121, 122, 123, 0], 4, 1),  # an object like it, while it is hidden
+    ],
+)
+def test_what_lies_out_of_reach_is_believed_after_five_frames(places, refused, track):
+    """Within 1/30 s it moves by 107 px at most; while it is refused its points lie off what is seen, and are not ok."""
+    detector, mask = ShapeDetector(), rope((80, 40))
+    shapes = [detector.detect_mask(shifted(mask, 0, v)).shapes[0] for v in (0, 0, 0, *places)]
+    assert [bool(shape.reason) for shape in shapes] == [False] * 3 + [True] * refused + [False]
+    assert [shape.ok for shape in shapes] == [not shape.reason for shape in shapes]
+    assert shapes[-1].track_id == track
+    np.testing.assert_allclose(shapes[-1].pixels, shapes[0].pixels + (0, places[-1]), atol=1.0)
+
+
+@pytest.mark.parametrize(("hertz", "speed", "frames"), [(240, 6, 36), (30, 4, 30), (15, 2, 24)])
+def test_a_beam_that_swings_fast_is_not_lost_in_plain_sight(hertz, speed, frames):
+    """It hangs from the image's border; frames are dropped, and stamps are irregular. The limit is 5 widths per s."""
+    beams = swinging_beam(np.random.default_rng(2), hertz, speed, frames, drop=0.1, jitter=0.2)
+    found = tracked_beam(beams, depth=hertz == 15)
+    assert found["longest"] <= 5
+    assert found["refused"] <= 0.25 * found["frames"]
+    assert (found["astray"], found["turned"], found["tracks"]) == (0, 0, 1)
 
 
 AT_THE_EDGE = np.zeros((480, 640), np.uint8)

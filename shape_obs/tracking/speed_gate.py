@@ -1,0 +1,203 @@
+"""The speed gate: what lies farther away than an object can have moved is another one, unless its path joins up.
+
+The allowance is ``max_speed`` times the seconds since the last *accepted* frame, measured from where the object was and
+from where its motion takes it. What lies beyond it becomes a candidate, which is tracked like any other object. The
+allowance does not grow for a candidate: what was seen elsewhere does not come within reach by waiting.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.camera import Intrinsics
+from shape_obs.compiled import compiled
+from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages
+from shape_obs.geometry.observed import Observed
+from shape_obs.image.connected_runs import nearest_pixel
+from shape_obs.tracking.prediction import Fit, Prediction, Track, extrapolated, predict, rates
+
+Array = npt.NDArray[np.float64]
+
+_ASKED: Final = 64  # nodes of a form and of the track that are compared
+_CONTINUOUS: Final = 5  # frames for which a candidate moves continuously before it is believed
+_LONGEST: Final = 10  # frames in which an object in plain sight is refused, at most
+# Of the known size: what is smaller may be a piece of the object, and by how much that falls in each second after it
+# was seen last, where it is not known in metres: half of it may be hidden for long, but it may also be seen aslant.
+WHOLE: Final = 0.94
+_FALLING: Final = 0.1
+LARGER: Final = 2.0  # times: what is so much larger is not the object
+
+
+class View(NamedTuple):
+    """How distances in a frame become metres or shares of an image.
+
+    Args:
+        depth: The frame's depth, see ``frame.depth_images``.
+        camera: Its intrinsics; None without depth.
+        width: Of the image, pixels.
+    """
+
+    depth: DepthImages
+    camera: Intrinsics | None
+    width: int
+
+
+class Candidate(NamedTuple):
+    """What is seen where the object cannot be, and may be it all the same.
+
+    Args:
+        track: Its own, with the number of the object's.
+        begun: When it was first seen, seconds.
+        frames: For how many frames it has moved continuously.
+        refused: For how many frames something in plain sight was refused before, this candidate or another one.
+        joins: Whether it is numbered as the object is and, from its second frame on, could have come from there.
+        own: Whether it is numbered as another object.
+    """
+
+    track: Track
+    begun: float
+    frames: int
+    refused: int
+    joins: bool
+    own: bool
+
+    def continued(self, track: Track) -> Candidate:
+        """Return the candidate after another frame of its path."""
+        return self._replace(track=track, frames=self.frames + 1, refused=self.refused + 1)
+
+    def ahead(self, observed: Observed, now: float) -> Prediction:
+        """Return where its motion takes it."""
+        prediction = predict(self.track, observed, now)
+        assert prediction is not None
+        return prediction
+
+    def leads_to(self, found: Fit, observed: Observed, now: float, gate: SpeedGate, view: View) -> bool:
+        """Return whether a fit continues its path."""
+        if found.nodes is None or (found.reason and not found.follow):
+            return False
+        seconds = now - self.track.stamp
+        return not gate.exceeded(found.nodes, self.track, self.ahead(observed, now), seconds, view)
+
+    @property
+    def believed(self) -> bool:
+        """Whether it is the object, or another one in its place."""
+        return self.frames >= _CONTINUOUS or self.refused >= _LONGEST
+
+    @property
+    def joined(self) -> bool:
+        """Whether its path could have joined the object's track within ``max_speed``."""
+        return self.joins and self.frames > 0
+
+
+def is_as_large(found: Fit, track: Track, now: float) -> bool:
+    """Return whether a form is as large as the object that was tracked, and nothing of it is out of sight."""
+    known, metres = track.hints.length.metres, getattr(found.form, "metres", None)
+    if metres is not None and known > 0:
+        return found.form.whole and float(metres[-1]) >= WHOLE * known
+    return found.form.whole and found.size >= (WHOLE - _FALLING * (now - track.stamp)) * track.size
+
+
+class SpeedGate:
+    """Compare how far an object has moved with how far it can have moved.
+
+    Args:
+        max_speed: Metres a second with depth and in clouds, image widths a second without; None for no limit.
+    """
+
+    def __init__(self, max_speed: float | None) -> None:
+        self._max_speed = math.inf if max_speed is None else max_speed
+
+    def exceeded(self, nodes: Array, track: Track, ahead: Prediction, seconds: float, view: View) -> str:
+        """Return why nodes ``(K, D)`` are another object's than the one that was tracked; empty if they are not.
+
+        Args:
+            nodes: Of what was found.
+            track: Where the object was.
+            ahead: Where its motion takes it.
+            seconds: For which it can have moved.
+            view: The frame's.
+        """
+        if math.isinf(self._max_speed) or nodes.shape[1] != track.nodes.shape[1]:
+            return ""
+        moved, most, scale, unit = self._compared(nodes, track.nodes, seconds, view)
+        if moved <= most or self._compared(nodes, ahead.nodes, seconds, view)[0] <= most:
+            return ""
+        moved, most = moved * scale, most * scale
+        return f"it lies {moved:.3g} {unit} from where the shape was (at most {most:.3g} after {seconds:.2g} s)"
+
+    def joins(self, candidate: Candidate, first: Array, track: Track, ahead: Prediction, view: View) -> bool:
+        """Return whether a candidate's path could have joined the object's track.
+
+        What the candidate's motion explains is left out: something that stands still elsewhere has not come from here.
+
+        Args:
+            candidate: Seen twice, so that its velocity is known.
+            first: ``(K, D)`` its nodes when it was first seen.
+            track: The object's.
+            ahead: Where its motion takes it.
+            view: The frame's.
+        """
+        seconds, velocity = candidate.begun - track.stamp, candidate.track.velocity
+        before = first - min(seconds, candidate.track.interval) * velocity
+        return not self.exceeded(np.ascontiguousarray(before), track, ahead, seconds, view)
+
+    def reach(self, track: Track, seconds: float, focal: float, width: int) -> float:
+        """Return how far an object can have moved in some seconds, in the unit of its track; infinity if unknown."""
+        if track.nodes.shape[1] == 3:
+            return self._max_speed * seconds
+        if focal <= 0:
+            return self._max_speed * seconds * width
+        if track.relief is None:
+            return math.inf
+        return self._max_speed * seconds * focal / math.exp(float(np.median(track.relief)) / focal)
+
+    def _compared(self, nodes: Array, before: Array, seconds: float, view: View) -> tuple[float, float, float, str]:
+        """Return how far nodes have moved and can have, in their unit, and this unit in pixels or metres, and which."""
+        moved, away = typical_motion(nodes, before, view.depth)
+        most, scale, unit = self._max_speed * seconds, 1.0, "m"
+        if nodes.shape[1] == 2 and view.camera is not None and away > 0:
+            scale = away / view.camera.fx
+        elif nodes.shape[1] == 2:
+            most, unit = most * view.width, "px"
+        return moved, most / scale, scale, unit
+
+
+@compiled("(f8[:,::1], f8[:,::1], " + DEPTH_TYPE + ")")
+def typical_motion(nodes: Array, before: Array, depth: DepthImages) -> tuple[float, float]:
+    """Return the median distance of the nodes of a track to the nearest of a form's, and the median depth there.
+
+    Args:
+        nodes: ``(K, D)`` of the form; at most 64 of them are compared.
+        before: ``(K', D)`` of the track; the same.
+        depth: The frame's, see ``frame.depth_images``.
+
+    Returns:
+        In the unit of the nodes; metres, 0 where there is no depth.
+    """
+    step, stride = -(-len(nodes) // _ASKED), -(-len(before) // _ASKED)
+    apart, away, known = np.empty(-(-len(before) // stride)), np.empty(len(nodes)), 0
+    for k in range(0, len(before), stride):
+        least = np.inf
+        for j in range(0, len(nodes), step):
+            square = 0.0
+            for d in range(nodes.shape[1]):
+                square += (nodes[j, d] - before[k, d]) ** 2
+            least = min(least, square)
+        apart[k // stride] = math.sqrt(least)
+    (millimetres, metric), (high, wide) = depth, depth[0].shape if len(depth[0]) > 0 else depth[1].shape
+    if high > 0:
+        for j in range(0, len(nodes), step):
+            u = min(max(nearest_pixel(nodes[j, 0]), 0), wide - 1)
+            v = min(max(nearest_pixel(nodes[j, 1]), 0), high - 1)
+            metres = millimetres[v, u] * MILLIMETRE if len(millimetres) > 0 else float(metric[v, u])
+            if 0 < metres < FARTHEST:
+                away[known] = metres
+                known += 1
+    return np.median(apart), np.median(away[:known]) if known else 0.0
+
+
+TRACK_FUNCTIONS: Final = extrapolated, rates, typical_motion
