@@ -207,8 +207,7 @@ CLAIMS: Final = (
         {"tables": len, "found [%]": percent("found"), "on the table, mean [mm]": joined(np.mean, "mm"),
          "on the table, worst [mm]": joined(max, "mm"), "median [ms]": of(median, "ms")},
         limits=(
-            Limit("found [%]", at_least=100, unit="%"),
-            Limit("on the table, worst [mm]", at_most=2, unit="mm"),
+            Limit("found [%]", at_least=100, unit="%"), Limit("on the table, worst [mm]", at_most=2, unit="mm"),
             Limit("median [ms]", at_most=15, unit="ms"),
         ),
     ),

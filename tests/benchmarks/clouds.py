@@ -170,8 +170,7 @@ CLAIMS: Final = (
             Limit("refused", at_most=0), Limit("order wrong", at_most=0),
             Limit("to the curve, worst [mm]", at_most=2.5, unit="mm",
                   where={"cloud": ("rope, all", "rope, front", "ring")}),
-            Limit("to the curve, worst [mm]", at_most=5, unit="mm"),
-            Limit("gap CV, worst", at_most=0.06),
+            Limit("to the curve, worst [mm]", at_most=5, unit="mm"), Limit("gap CV, worst", at_most=0.06),
         ),
     ),
     Claim(
@@ -189,8 +188,7 @@ CLAIMS: Final = (
          "gap CV, worst": of(worst, "gap_cv", _wide), "to their places, mean [mm]": of(mean, "place_mm", _wide),
          "to their places, worst [mm]": of(worst, "place_mm", _wide), "warm [ms]": of(median, "warm_ms")},
         limits=(
-            Limit("refused", at_most=0),
-            Limit("gap CV, worst", at_most=0.01, where={"way": "cloud"}),
+            Limit("refused", at_most=0), Limit("gap CV, worst", at_most=0.01, where={"way": "cloud"}),
             Limit("to their places, mean [mm]", at_most=5, unit="mm", where={"way": ("m", "cloud")}),
         ),
     ),

@@ -277,8 +277,7 @@ CLAIMS: Final = (
         limits=(
             Limit("overruns [%]", at_most=1, unit="%", where={"run": "clean"}, sampled=10),
             Limit("own, p95 [ms]", at_most=25, unit="ms", where={"run": "clean"}),
-            Limit("held", at_most=0, where={"run": "clean"}),
-            Limit("mean [mm]", at_most=5, unit="mm"),
+            Limit("held", at_most=0, where={"run": "clean"}), Limit("mean [mm]", at_most=5, unit="mm"),
             *(Limit(column, at_most=0) for column in ("slipped", "wrong", "stale")),
         ),
         alone=True, needs=("mujoco", "pyrealsense2"),
@@ -291,8 +290,7 @@ CLAIMS: Final = (
         limits=(
             Limit("longest [ms]", at_most=50, unit="ms", where=_ALIVE),
             Limit("longest [ms]", at_most=1e3 * MAX_AGE, unit="ms", where={"fault": ("SIGKILL", "SIGTERM, lock held")}),
-            Limit("moved again", at_most=0),
-            Limit("without report or code", at_most=0, where={"fault": SIGNALS}),
+            Limit("moved again", at_most=0), Limit("without report or code", at_most=0, where={"fault": SIGNALS}),
         ),
         alone=True,
     ),

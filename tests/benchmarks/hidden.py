@@ -16,7 +16,8 @@ from shape_obs.geometry.polyline import resample
 from tests.benchmarks.claim import Claim, Effort, Limit
 from tests.benchmarks.scenes.swings import STIFFNESS, swung_rope
 from tests.benchmarks.scores import VISIBLE, claimed, visible_row
-from tests.benchmarks.tables import Row
+from tests.benchmarks.tables import Row, of, percent, total, worst
+from tests.scenes.beams import swinging_beam, tracked_beam
 from tests.scenes.hidden_ropes import Cover, Seen, camera_of, d455, hidden_ropes, see
 
 Array = npt.NDArray[np.float64]
@@ -63,9 +64,7 @@ def seen_rope(frames: Iterable[Seen], *, depth: bool, spacing: Spacing = "px", d
 
 
 def _at(values: Array, at: Array) -> Array:
-    before = np.minimum(at.astype(int), len(values) - 2)
-    share = (at - before)[:, None]
-    return values[before] * (1 - share) + values[before + 1] * share
+    return np.stack([np.interp(at, np.arange(len(values)), column) for column in values.T], axis=1)
 
 
 def _gap(points: Array) -> float:
@@ -100,50 +99,58 @@ def _measured(frames: Iterable[Seen], rng: np.random.Generator, size: Size) -> I
 
 def covers(effort: Effort) -> Iterator[dict[str, Any]]:
     """Return every cover, approach and speed."""
-    for cover, approach, speed, seed in product(COVERS, APPROACHES, (0.0, 3.0, 10.0), effort.seeds(4)):
-        for depth in (False, True):
-            yield {"cover": cover, "approach": approach, "speed": speed, "seed": seed, "depth": depth}
+    fields = "cover", "approach", "speed", "seed", "depth"
+    for scene in product(COVERS, APPROACHES, (0.0, 3.0, 10.0), effort.seeds(4), (False, True)):
+        yield dict(zip(fields, scene, strict=True))
 
 
 def swings(effort: Effort) -> Iterator[dict[str, Any]]:
     """Return every rate, wall and depth."""
-    for hertz, seed, wall, noise in product((100, 33, 15), effort.seeds(50), (True, False), (False, True)):
-        yield {"hertz": hertz, "seed": seed, "wall": wall, "noise": noise}
+    for scene in product((100, 33, 15), effort.seeds(50), (True, False), (False, True)):
+        yield dict(zip(("hertz", "seed", "wall", "noise"), scene, strict=True))
+
+
+def swinging_beam_row(scene: tuple[int, int, bool, int]) -> Row:
+    """Track a thick beam that swings at the border; return its rate, its depth and the counts of ``tracked_beam``."""
+    hertz, speed, depth, seed = scene
+    motion = np.random.default_rng([seed, hertz, speed]), hertz, speed, max(hertz, 40)
+    return Row(tracked_beam(swinging_beam(*motion, drop=0.15, jitter=0.3), depth=depth), hertz=hertz, depth=depth)
 
 
 _SMALL: Final = "a bar hides both sides at once, and a rope without an end in sight may slide along itself"
 _OTHERS: Final = {"cover": ("hand", "shadow", "border")}
 CLAIMS: Final = (
     Claim(
-        "hidden.covered",
-        "Ropes over which a hand, a shadow, a bar or the image's border comes, stays and goes, with and without depth.",
-        covers,
-        lambda scene: visible_row(covered_rope(**scene), cover=scene["cover"], depth=scene["depth"]),
-        ("cover", "depth"),
-        VISIBLE,
+        "hidden.covered", "Ropes over which a hand, a shadow, a bar or the image's border comes, stays and goes.",
+        covers, lambda scene: visible_row(covered_rope(**scene), cover=scene["cover"], depth=scene["depth"]),
+        ("cover", "depth"), VISIBLE,
         limits=(
             Limit("slips [%]", at_most=0.5, unit="%", where=_OTHERS),
             Limit("slips [%]", at_most=0.1, unit="%", where={"cover": "bar"}, known=_SMALL),
             Limit("refused [%]", at_most=3, unit="%", where=_OTHERS),
             Limit("refused [%]", at_most=3, unit="%", where={"cover": "bar"}, known=_SMALL),
-            Limit("seen [%]", at_least=95, unit="%"),
-            Limit("hidden valid [%]", at_most=25, unit="%"),
+            Limit("seen [%]", at_least=95, unit="%"), Limit("hidden valid [%]", at_most=25, unit="%"),
         ),
     ),
     Claim(
-        "hidden.swung",
-        "Ropes swung in space by one or both ends, at 100, 33 and 15 Hz, with and without a wall and a D455's noise.",
-        swings,
-        lambda scene: visible_row(swinging_rope(**scene), **scene),
-        ("hertz", "wall", "noise"),
-        VISIBLE,
+        "hidden.swung", "Ropes swung in space by one or both ends, with and without a wall and a D455's noise.",
+        swings, lambda scene: visible_row(swinging_rope(**scene), **scene), ("hertz", "wall", "noise"), VISIBLE,
         limits=(
-            Limit("slips [%]", at_most=1, unit="%"),
-            Limit("far [%]", at_most=1, unit="%"),
+            Limit("slips [%]", at_most=1, unit="%"), Limit("far [%]", at_most=1, unit="%"),
             Limit("refused [%]", at_most=4, unit="%", sampled=10),
-            Limit("seen [%]", at_least=94, unit="%", sampled=80),
-            Limit("mean [mm]", at_most=3, unit="mm"),
+            Limit("seen [%]", at_least=94, unit="%", sampled=80), Limit("mean [mm]", at_most=3, unit="mm"),
         ),
         needs=("mujoco",),
     ),
-)
+    Claim(
+        "hidden.beams", "Thick beams that hang from the border and swing; frames are dropped, and stamps irregular.",
+        lambda effort: product((240, 120, 60, 30, 15, 10), (2, 4, 6), (False, True), effort.seeds(10)),
+        swinging_beam_row, ("hertz", "depth"),
+        {"frames": total("frames"), "refused [%]": percent("refused", "frames"), "longest run": of(worst, "longest"),
+         "astray [%]": percent("astray", "frames"), "turned [%]": percent("turned", "frames")},
+        limits=(
+            Limit("longest run", at_most=10), Limit("refused [%]", at_most=5, unit="%", sampled=10),
+            Limit("astray [%]", at_most=0.1, unit="%"), Limit("turned [%]", at_most=0.1, unit="%"),
+        ),
+    ),
+)  # fmt: skip
