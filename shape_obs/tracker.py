@@ -208,7 +208,8 @@ class Tracker:
         if found.reason and not found.follow:
             if observed.area > LARGER * self._area:  # noise, or another object: no time is lost
                 return found
-            found = spec.fit(observed, None, np.ascontiguousarray(track.nodes[0]), scene)
+            head = np.ascontiguousarray(track.nodes[:1])
+            found = spec.fit(observed, None, observed.seen(head, head)[0], scene)
             if found.reason or found.nodes is None or not is_as_large(found, track, now):
                 return found
             own = direction(found.nodes, expected) <= 0

@@ -46,10 +46,10 @@ class DetectorConfig(Spec):
         on_invalid: What a point without depth becomes: ``"nan"``, ``"interpolate"`` or ``"hold"``.
         max_age: Seconds for which a held shape counts as ok.
         max_speed: The fastest motion that is one object's: metres a second with depth and a camera, image widths a
-            second without. If half of what is found lies farther from where the shape was, it is another object: the
-            shape is lost, and after ``max_age`` the other one begins a new track. Cables that are swung through the
-            air at 33 frames a second move by 9 cm and 70 px a frame at most, which is 3 m and 3.6 widths a second. None
-            sets no limit.
+            second without. If half of what is found lies farther from where the shape was, and from where its motion
+            takes it, it is refused for five frames of continuous motion; then it is the same track if its path could
+            have joined that one, else a new one. Cables that are swung through the air at 33 frames a second move by
+            9 cm and 70 px a frame at most, which is 3 m and 3.6 widths a second. None sets no limit.
         dt: Seconds between frames without stamps, or whose stamps stand still, run back or jump by more than a day.
     """
 
