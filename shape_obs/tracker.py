@@ -102,14 +102,14 @@ class Tracker:
         reach = self._gate.reach(self.track, now - self.track.stamp, focal, moment.size[1])
         return predict(self.track, observed, now, self._gone, reach)
 
-    def target(self, moment: Moment, *, anew: bool = False) -> Array | None:
+    def target(self, moment: Moment, *, again: bool = False) -> Array | None:
         """Return where point 0 belongs if the shape is to be numbered in this frame; None if its place is free.
 
         Raises:
             ValueError: The anchor cannot be resolved.
         """
         spec = self.spec
-        if spec.anchor is None or not (anew or self.track is None or self._gone or spec.order == "image"):
+        if spec.anchor is None or not (again or self.track is None or self._gone or spec.order == "image"):
             return None
         return (anchor_pixel if moment.in_2d else anchor_point)(spec, moment.anchors, moment.frame.camera)
 
@@ -186,7 +186,7 @@ class Tracker:
         if self._candidate.joined:
             self.track, self._gone = before.track, False
             return seen
-        fresh = Fit() if before.own else self.spec.fit(observed, None, self.target(moment, anew=True), scene)
+        fresh = Fit() if before.own else self.spec.fit(observed, None, self.target(moment, again=True), scene)
         return (seen if before.own or fresh.reason else fresh)._replace(new=True)
 
     def _candidate_in(
@@ -213,7 +213,7 @@ class Tracker:
             if found.reason or found.nodes is None or not is_as_large(found, track, now):
                 return found
             own = direction(found.nodes, expected) <= 0
-            found = spec.fit(observed, None, self.target(moment, anew=True), scene) if own else found
+            found = spec.fit(observed, None, self.target(moment, again=True), scene) if own else found
         begun = advance(None, found._replace(track_id=track.track_id), observed, now)
         self._candidate = Candidate(begun, now, 0, 0 if before is None else before.refused + 1, not own, own)
         return found
@@ -224,7 +224,7 @@ class Tracker:
         return 0 < LARGER * piece < observed.area and not found.form.whole
 
     def _is_misplaced(self, observed: Observed) -> bool:
-        """Return whether the points that are held lie off the object, of which nothing seems to be hidden."""
+        """Return whether the points that are held lie off the object, though it seems to be in plain sight."""
         last = self._last
         points = None if last is None else last.points3d if observed.dimension == 3 else last.points2d
         if points is None or (observed.area < WHOLE * self._area and self._candidate is None):

@@ -110,9 +110,10 @@ class PredictedRope:
     def __init__(self, prediction: Prediction, form: FittedCurve | None = None) -> None:
         self.prediction = prediction
         nodes, self.hidden, self.folded = prediction.nodes, prediction.hints.hidden, prediction.hints.folded
-        self.lifted = prediction.relief is not None and (form is None or form.relief is not None)
-        if prediction.relief is not None and self.lifted:
-            nodes = np.concatenate([nodes, prediction.relief[:, None]], axis=1)
+        deep = prediction.relief
+        self.lifted = deep is not None and (form is None or form.relief is not None)
+        if deep is not None and self.lifted:
+            nodes = np.concatenate([nodes, deep[:, None]], axis=1)
         self.nodes = np.ascontiguousarray(nodes)
         self.points, self.share = from_tip_to_tip(self.nodes)
         # An object that moves as it likes is as far from its prediction as the square of the time that went by.

@@ -159,8 +159,8 @@ def predict(
     nodes, deep, motion = extrapolated(track.nodes, track.velocity, *rising, ahead)
     steady = abs(observed.area - track.area) <= _STEADY * track.area
     known = track.size, track.topology, track.hints, observed.resolution, track.width
-    lapse = since / track.interval if track.interval > 0 else 1.0
-    deep, lapse = relief if climb is None else deep, max(lapse, 1.0)
+    lapse = max(since / track.interval, 1.0) if track.interval > 0 else 1.0
+    deep = relief if climb is None else deep
     return Prediction(nodes, *known, steady, stale, deep, lapse, motion, track.nodes, since, reach)
 
 

@@ -26,7 +26,7 @@ _ASKED: Final = 64  # nodes of a form and of the track that are compared
 _CONTINUOUS: Final = 5  # frames for which a candidate moves continuously before it is believed
 _LONGEST: Final = 10  # frames in which an object in plain sight is refused, at most
 # Of the known size: what is smaller may be a piece of the object, and by how much that falls in each second after it
-# was seen last, where it is not known in metres: half of it may be hidden for long, but it may also be seen aslant.
+# was seen last, where it is not known in metres: half of it may be hidden for long, but it may also be tilted.
 WHOLE: Final = 0.94
 _FALLING: Final = 0.1
 LARGER: Final = 2.0  # times: what is so much larger than an object, or a piece of it, is something else
@@ -151,9 +151,8 @@ class SpeedGate:
             return self._max_speed * seconds
         if focal <= 0:
             return self._max_speed * seconds * width
-        if track.relief is None:
-            return math.inf
-        return self._max_speed * seconds * focal / math.exp(float(np.median(track.relief)) / focal)
+        depth = math.inf if (deep := track.relief) is None else math.exp(float(np.median(deep)) / focal)
+        return self._max_speed * seconds * focal / depth if depth < math.inf else math.inf
 
     def _compared(self, nodes: Array, before: Array, seconds: float, view: View) -> tuple[float, float, float, str]:
         """Return how far nodes have moved and can have, in their unit, and this unit in pixels or metres, and which."""

@@ -147,10 +147,10 @@ CLAIMS: Final = (
         lambda effort: product((240, 120, 60, 30, 15, 10), (2, 4, 6), (False, True), effort.seeds(10)),
         swinging_beam_row, ("hertz", "depth"),
         {"frames": total("frames"), "refused [%]": percent("refused", "frames"), "longest run": of(worst, "longest"),
-         "astray [%]": percent("astray", "frames"), "turned [%]": percent("turned", "frames")},
+         "off it [%]": percent("strayed", "frames"), "turned [%]": percent("turned", "frames")},
         limits=(
             Limit("longest run", at_most=10), Limit("refused [%]", at_most=5, unit="%", sampled=10),
-            Limit("astray [%]", at_most=0.1, unit="%"), Limit("turned [%]", at_most=0.1, unit="%"),
+            Limit("off it [%]", at_most=0.1, unit="%"), Limit("turned [%]", at_most=0.1, unit="%"),
         ),
     ),
 )  # fmt: skip

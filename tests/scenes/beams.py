@@ -81,10 +81,10 @@ def tracked_beam(beams: Iterator[Beam], *, depth: bool = False, **options: Any) 
     """Track a beam by its stamps, from its end at the border to its tip.
 
     Returns:
-        ``frames``; ``refused`` of them, and the ``longest`` run of those; ``astray``: frames that are ok with points
+        ``frames``; ``refused`` of them, and the ``longest`` run of those; ``strayed``: frames that are ok with points
         off the object; ``turned``: found the other way round, or off by 12 % of its length on average; ``tracks``.
     """
-    detector, refused, found = None, list[bool](), {"astray": 0, "turned": 0, "tracks": 1}
+    detector, refused, found = None, list[bool](), {"strayed": 0, "turned": 0, "tracks": 1}
     for beam in beams:
         if detector is None:
             spec = Centerline(n=_N, ends="tips", anchor=(float(beam.axis[0, 0]), 0.0))
@@ -96,7 +96,7 @@ def tracked_beam(beams: Iterator[Beam], *, depth: bool = False, **options: Any) 
         u, v = np.clip(np.rint(points), 0, (_SIZE[1] - 1, _SIZE[0] - 1)).astype(int).T
         away = cv2.distanceTransform(255 - beam.mask, cv2.DIST_L2, 3)[v, u]
         refused.append(bool(shape.reason))
-        found["astray"] += bool(shape.ok and np.mean(away > _OFF[0]) > _OFF[1])
+        found["strayed"] += bool(shape.ok and np.mean(away > _OFF[0]) > _OFF[1])
         off = np.linalg.norm(points - _at(true, np.linspace(0, 1, _N)), axis=1).mean()
         found["turned"] += not shape.reason and bool(off > 0.12 * np.linalg.norm(np.diff(true, axis=0), axis=1).sum())
         found["tracks"] = shape.track_id

@@ -274,7 +274,7 @@ def test_a_beam_that_swings_fast_is_not_lost_in_plain_sight(hertz, speed, frames
     found = tracked_beam(beams, depth=hertz == 15)
     assert found["longest"] <= 5
     assert found["refused"] <= 0.25 * found["frames"]
-    assert (found["astray"], found["turned"], found["tracks"]) == (0, 0, 1)
+    assert (found["strayed"], found["turned"], found["tracks"]) == (0, 0, 1)
 
 
 AT_THE_EDGE = np.zeros((480, 640), np.uint8)
