@@ -166,8 +166,8 @@ class Tracker:
         if self._begun != now:  # a frame is looked at twice, in a window and as a whole
             self._begun, self._before = now, self._candidate
         before, view = self._before, View(scene.images, scene.intrinsics, moment.size[1])
-        if alone and found.form is not None and self._explains_too_little(found, observed):
-            found = found._replace(reason=found.reason or "less of the shape was found than is in sight", follow=False)
+        if found.reason and found.size > LARGER * track.size:  # the fit lost its way, and the track would with it
+            found = found._replace(follow=False)
         far = ""
         if not found.reason or found.follow:
             on_path = before is not None and before.leads_to(found, observed, now, self._gate, view)
@@ -217,11 +217,6 @@ class Tracker:
         begun = advance(None, found._replace(track_id=track.track_id), observed, now)
         self._candidate = Candidate(begun, now, 0, 0 if before is None else before.refused + 1, not own, own)
         return found
-
-    def _explains_too_little(self, found: Fit, observed: Observed) -> bool:
-        """Return whether there are many more pixels or points than the piece has that was found: it lost its way."""
-        piece = (1 - found.form.unsupported_fraction) * self._area
-        return 0 < LARGER * piece < observed.area and not found.form.whole
 
     def _is_misplaced(self, observed: Observed) -> bool:
         """Return whether the points that are held lie off the object, though it seems to be in plain sight."""

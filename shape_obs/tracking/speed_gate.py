@@ -29,7 +29,7 @@ _LONGEST: Final = 10  # frames in which an object in plain sight is refused, at 
 # was seen last, where it is not known in metres: half of it may be hidden for long, but it may also be tilted.
 WHOLE: Final = 0.94
 _FALLING: Final = 0.1
-LARGER: Final = 2.0  # times: what is so much larger than an object, or a piece of it, is something else
+LARGER: Final = 2.0  # times: what is so much larger is not the object
 
 
 class View(NamedTuple):
