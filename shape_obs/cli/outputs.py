@@ -37,19 +37,23 @@ def check_outputs(args: Any, *paths: Path | None, hint: str = "") -> None:
         OSError: An existing file cannot be replaced: it is a folder, a device or read-only.
     """
     files = [path for path in paths if path is not None]
-    keys = [_key(path) for path in files]
-    for key, path in zip(keys, files, strict=True):
-        if keys.count(key) > 1:
+    keys: set[str] = set()
+    for path in files:
+        if _key(path) in keys:
             raise UsageError(f"{path} would be written twice: choose different names.")
+        keys.add(_key(path))
+    inputs = {_identity(source): source for source in _inputs(args)}
+    folders = [source for source in inputs.values() if os.path.isdir(source)]
     existing = [path for path in files if path.exists()]
     for path in existing:
-        for source in _inputs(args):
-            if os.path.samefile(source, path):
-                raise UsageError(f"{path} would be written over the input {source}: choose another name or folder.")
-            if os.path.isdir(source) and os.path.realpath(path).startswith(os.path.realpath(source) + os.sep):
-                raise UsageError(f"{path} exists in the folder {source}, which is read: choose another name or folder.")
+        if source := inputs.get(_identity(path)):
+            raise UsageError(f"{path} would be written over the input {source}: choose another name or folder.")
+        for folder in folders:
+            if os.path.realpath(path).startswith(os.path.realpath(folder) + os.sep):
+                raise UsageError(f"{path} exists in the folder {folder}, which is read: choose another name or folder.")
         check_file(path)
-    kept = [path for path in existing if not args.overwrite and not _is_own(path)]
+    known = {folder: _manifest(folder) for folder in {path.parent for path in existing}}
+    kept = [path for path in existing if not args.overwrite and known[path.parent].get(path.name) != _digest(path)]
     if kept:
         names = ", ".join(map(str, kept[:3])) + (f" and {len(kept) - 3} more" if len(kept) > 3 else "")
         verb, them, others = ("exist", "them", "other names") if len(kept) > 1 else ("exists", "it", "another name")
@@ -62,14 +66,13 @@ def note_output(path: Path) -> None:
         manifest.write(f"{_digest(path)}  {path.name}\n")
 
 
-def _is_own(path: Path) -> bool:
-    """Return whether the manifest of the folder has the file as it is now; later lines replace earlier ones."""
+def _manifest(folder: Path) -> dict[str, str]:
+    """Return the checksum of each file in the manifest of a folder; later lines replace earlier ones."""
     try:
-        lines = (path.parent / MANIFEST).read_text(encoding="utf-8").splitlines()
-    except (OSError, ValueError):  # missing or damaged: the file may be anyone's
-        return False
-    known = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
-    return known.get(path.name) == _digest(path)
+        lines = (folder / MANIFEST).read_text(encoding="utf-8").split("\n")
+    except (OSError, ValueError):  # missing or damaged: the files may be anyone's
+        return {}
+    return {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
 
 
 def _inputs(args: Any) -> Iterator[str]:
@@ -85,6 +88,12 @@ def _key(path: Path) -> str:
     """Return a text that is equal for two names of one file that may not exist yet."""
     key = os.path.realpath(path)
     return unicodedata.normalize("NFC", key).casefold() if sys.platform in ("win32", "darwin") else key
+
+
+def _identity(path: str | Path) -> tuple[int, int]:
+    """Return what all names of a file have in common, also those of links."""
+    found = os.stat(path)
+    return found.st_dev, found.st_ino
 
 
 def _digest(path: Path) -> str:

@@ -94,7 +94,7 @@ def test_an_existing_file_is_kept_without_overwrite(place, run, command, case):
         ("detect hard.png --config c.yaml --out same", "over the input hard.png"),
         ("detect p.png --depth d.png --intrinsics 1 1 1 1 --pick 9,9 --save-config d.png", "over the input d.png"),
         ("detect p.png photos/p.png --config c.yaml", "overlays/p.png would be written twice"),
-        ("detect p.png P.png --config c.yaml", "overlays/p.png would be written twice"),
+        ("detect p.png P.png --config c.yaml", "overlays/P.png would be written twice"),
         ("replay photos/../v.avi --config c.yaml --video v.avi", "over the input photos/../v.avi"),
         ("replay photos --config c.yaml --video photos/v.avi", "in the folder photos, which is read"),
         ("replay . --config c.yaml --npz t.npz", "in the folder ., which is read"),
