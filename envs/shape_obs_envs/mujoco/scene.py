@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,9 +16,28 @@ from shape_obs.camera import CameraModel, Intrinsics
 from shape_obs.utils.errors import install_hint
 from shape_obs_envs.arguments import one_of
 
+
+def _import_mujoco() -> Any:
+    """Import MuJoCo, which loads the OpenGL of ``MUJOCO_GL``: without it if that fails, since rays need none."""
+    before = {name: os.environ.get(name) for name in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
+    try:
+        return importlib.import_module("mujoco")
+    except (ImportError, AttributeError, TypeError, ValueError, OSError, RuntimeError) as error:
+        if not before["MUJOCO_GL"] or getattr(error, "name", "") == "mujoco":
+            raise
+        os.environ["MUJOCO_GL"] = "disable"
+        return importlib.import_module("mujoco")
+    finally:
+        for name, value in before.items():  # a backend that cannot be loaded leaves its own platform behind
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
 try:
     # Any: the module's names come from C extensions, which a type checker sees only in part.
-    mujoco: Any = importlib.import_module("mujoco")
+    mujoco: Any = _import_mujoco()
 except ModuleNotFoundError as error:
     if error.name != "mujoco":  # MuJoCo is installed but lacks one of its own dependencies: keep that message
         raise

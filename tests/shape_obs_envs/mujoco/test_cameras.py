@@ -18,6 +18,7 @@ pytest.importorskip("mujoco")
 from simulator_gl import RENDERERS
 
 import shape_obs_envs  # noqa: F401
+from shape_obs_envs.mujoco import cameras
 from shape_obs_envs.mujoco.cable import CableEnv
 from shape_obs_envs.mujoco.cameras.rasterizer import draw_triangles
 from shape_obs_envs.mujoco.cloth import ClothEnv
@@ -25,7 +26,7 @@ from shape_obs_envs.mujoco.cloth import ClothEnv
 SIZES = {"square": [84, 84], "d455": "d455"}
 NO_GL = """
 import ctypes, os
-for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
+for name in ("MUJOCO_GL", "PYOPENGL_PLATFORM", "DISPLAY", "WAYLAND_DISPLAY"):
     os.environ.pop(name, None)
 class Hidden(ctypes.CDLL):
     def __init__(self, name, *args, **kwargs):
@@ -251,13 +252,40 @@ else:
     assert run(code, tmp_path).count("Rendering with rays, which is slower: OpenGL is not available") == 1
 
 
-def test_mujoco_gl_is_obeyed(tmp_path):
-    code = """
-import os
+@pytest.mark.parametrize(
+    ("wish", "message"),
+    [("disable", "MUJOCO_GL=disable turns OpenGL off"), ("osmesa", "osmesa: libOSMesa.so.8 is not installed")],
+)
+def test_mujoco_gl_is_obeyed(tmp_path, wish, message):
+    code = (
+        NO_GL
+        + """
+os.environ["MUJOCO_GL"], before = "WISH", os.environ.get("PYOPENGL_PLATFORM")
 import gymnasium as gym, shape_obs_envs
 env = gym.make("ShapeObs/Cable-v0", camera=[84, 84]).unwrapped
 env.reset(seed=0)
 assert env._rendering.camera_name == "rays"
-assert os.environ["MUJOCO_GL"] == "disable"
+assert os.environ["MUJOCO_GL"] == "WISH"
+assert os.environ.get("PYOPENGL_PLATFORM") == before
 """
-    assert "MUJOCO_GL=disable turns OpenGL off" in run(code, tmp_path, MUJOCO_GL="disable")
+    )
+    assert message in run(code.replace("WISH", wish), tmp_path)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="variables of Linux")
+@pytest.mark.parametrize(
+    "variable",
+    ["MUJOCO_GL=vulkan", "MUJOCO_EGL_DEVICE_ID=0,1", "MUJOCO_EGL_DEVICE_ID=GPU-8f2e", "MUJOCO_EGL_DEVICE_ID=",
+     "PYOPENGL_PLATFORM=glx"],
+)  # fmt: skip
+def test_a_variable_that_stops_opengl_is_named_and_auto_falls_back_on_rays(variable, monkeypatch, caplog):
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+    monkeypatch.setenv(*variable.split("="))
+    monkeypatch.setattr(cameras, "_no_gl", [])
+    monkeypatch.setattr(cameras, "_logged", set())
+    with pytest.raises(RuntimeError, match=f'renderer="gl": .*{variable}: expected'):
+        make(renderer="gl").reset(seed=0)
+    env = make(renderer="auto")
+    env.reset(seed=0)
+    assert env._rendering.camera_name == "rays"
+    assert f"{variable}: expected" in caplog.text

@@ -54,8 +54,8 @@ def open_camera(renderer: str, spec: CameraSpec, model: Any) -> Camera:
             return GLCamera(spec, model)
         except GLUnavailableError as error:
             raise GLUnavailableError(
-                f'renderer="gl": {error}. Install a GL library (on Debian: apt-get install libegl1 libgl1-mesa-dri), '
-                'or pass renderer="rays", which needs none.'
+                f'renderer="gl": {error}. Correct the variable, or install a GL library that is missing (on Debian: '
+                'apt-get install libegl1 libgl1-mesa-dri), or pass renderer="rays", which needs none.'
             ) from error
     if not _no_gl:
         try:

@@ -24,6 +24,7 @@ from shape_obs_envs.mujoco.scene import CAMERA, CameraSpec, mujoco
 # Values of MUJOCO_GL that disable or do not restrict OpenGL.
 _DISABLED = ("disable", "disabled", "off", "false", "0")
 _ANY = ("", "enable", "enabled", "on", "true", "1")
+_BACKENDS = ("egl", "osmesa", "glfw", "glx")
 _LIBRARIES = {"egl": ("libEGL.so.1", "libEGL.so"), "osmesa": ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")}
 # Effects that cost time and change nothing in a matt scene with one lamp.
 _DISABLED_EFFECTS = ("SHADOW", "REFLECTION", "SKYBOX", "HAZE", "FOG")
@@ -188,13 +189,15 @@ def candidates() -> list[str]:
     """Return the backends to try, best first. ``MUJOCO_GL`` is respected if set, and never changed.
 
     Raises:
-        GLUnavailableError: ``MUJOCO_GL`` disables OpenGL.
+        GLUnavailableError: ``MUJOCO_GL`` disables OpenGL, or names no backend.
     """
     wish = os.environ.get("MUJOCO_GL", "").lower().strip()
     if wish in _DISABLED:
         raise GLUnavailableError(f"the environment variable MUJOCO_GL={wish} turns OpenGL off")
     if not sys.platform.startswith("linux"):
         return ["native"]  # MuJoCo's own choice there (CGL, WGL) needs no display server
+    if wish not in (*_ANY, *_BACKENDS):
+        raise GLUnavailableError(f"MUJOCO_GL={wish}: expected {', '.join(_BACKENDS)} or {_DISABLED[0]}")
     if wish not in _ANY:
         return ["glfw" if wish == "glx" else wish]
     display = ["glfw"] if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") else []
@@ -209,9 +212,14 @@ def make_context(backend: str, width: int, height: int) -> Any:
     """
     if backend == "native":
         return mujoco.GLContext(width, height)
+    platform = os.environ.get("PYOPENGL_PLATFORM")
+    if backend in _LIBRARIES and platform not in (None, backend):
+        raise GLUnavailableError(f"PYOPENGL_PLATFORM={platform}: expected {backend}, or no value")
+    device = os.environ.get("MUJOCO_EGL_DEVICE_ID")
+    if backend == "egl" and device is not None and not device.strip().isdecimal():
+        raise GLUnavailableError(f"MUJOCO_EGL_DEVICE_ID={device}: expected the number of one device, such as 0")
     if backend in _LIBRARIES:
         _require_library(backend)
-    had_platform = "PYOPENGL_PLATFORM" in os.environ
     try:
         module = importlib.import_module(f"mujoco.{backend}")
         if backend == "glfw" and not module.glfw.init():
@@ -219,7 +227,7 @@ def make_context(backend: str, width: int, height: int) -> Any:
         return module.GLContext(width, height)
     # PyOpenGL raises AttributeError or TypeError for an incomplete library, and GLError for a failed call
     except (ImportError, AttributeError, TypeError, OSError, RuntimeError, *_gl_errors()) as error:
-        if not had_platform:  # MuJoCo's backend has set it, and the next one would refuse to load because of it
+        if platform is None:  # MuJoCo's backend has set it, and the next one would refuse to load because of it
             os.environ.pop("PYOPENGL_PLATFORM", None)
         raise GLUnavailableError(f"{type(error).__name__}: {str(error).strip() or 'no message'}") from error
 
