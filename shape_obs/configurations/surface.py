@@ -41,6 +41,7 @@ from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Indices, Rim
 from shape_obs.tracking.corner_matching import STRAYED, match_corners
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
+from shape_obs.tracking.sheet_relief import Relief, see_relief
 from shape_obs.tracking.sheet_view import KnownSheet, SheetView, doubtful_places
 from shape_obs.tracking.validation import MAX_HIDDEN, FitQuality, validate_sheet
 
@@ -54,6 +55,7 @@ _NEAREST: Final = np.empty(0, np.int64)  # the corners nearest to the predicted 
 _NO_NODES, _NO_SIDES = np.empty((0, 2)), np.zeros(4)
 _NOTHING_OVER: Final = "the sheet is smaller than it was, and nothing lies over the rest"
 _BARELY_CUT: Final = 0.1  # of the outline, next to which something nearer is seen, as a gripper is
+_OFF: Final = 0.3  # gaps: what depth shows to be farther off its material is in doubt
 _COVERED: Final = "something lies over the sheet's border"
 _MIN_PIECE: Final = 0.8  # of the mask: the largest piece, since a sheet cannot be connected over a gap
 
@@ -165,7 +167,7 @@ class Surface(Configuration, kind="surface"):
             measures = assess_lattice(flattened(patch).reshape(FINE, FINE, 2))
         corner = (0, 0.0) if metric and not buckled else (number, stray)  # in space the lengths of the sides say more
         verdict = validate_sheet(off, measures, Region.noun, math.degrees(kink), corner, self.freedom)
-        found = self._finish(view, lattice, (down, right), hints, verdict, hidden)
+        found = self._finish(view, lattice, (down, right), hints, verdict, hidden, scene)
         uneven = self.epochs or (self.spacing == "m" and scene.intrinsics is not None) or not found.form.whole
         if prediction is None or found.reason or uneven:
             return found
@@ -197,13 +199,19 @@ class Surface(Configuration, kind="surface"):
             reason = f"{share:.0%} of the sheet is hidden (at most {MAX_HIDDEN:.0%})"
         verdict = FitQuality(reason, float(border.seen.mean()) ** 0.5)
         gauges = lattice_gauges(lattice.reshape(FINE, FINE, 2))
-        return self._finish(view, lattice, gauges, known.seen_beside(border, patch), verdict, hidden)
+        return self._finish(view, lattice, gauges, known.seen_beside(border, patch), verdict, hidden, scene)
 
     def _finish(
         self, view: SheetView, lattice: Array, gauges: tuple[Array, Array], hints: TrackHints, verdict: FitQuality,
-        hidden: npt.NDArray[np.bool_],
+        hidden: npt.NDArray[np.bool_], scene: Scene,
     ) -> Fit:  # fmt: skip
         """Return the fit of a lattice of ``(625, 2)`` pixels, its inside moved with the map if that is asked for."""
+        if view.camera is not None and not verdict.reason:
+            mask, at = view.region.mask, view.region.window[:2]
+            where = lattice, hidden, scene.images, mask, at, view.camera.lens, float(self.rows), float(self.cols)
+            relief = Relief(*see_relief(*where))
+            reason, share = relief.verdict()
+            verdict, hidden = FitQuality(reason, verdict.quality * share), hidden | (relief.off > _OFF)
         form = FittedLattice(lattice, hidden, gauges, FINE, hints=hints)
         if self.epochs:
             form = form.with_points(form.points + moved_inside(form, view.region, self.epochs))
@@ -284,7 +292,7 @@ class Surface(Configuration, kind="surface"):
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
         maps = (batch_epochs, gather_cells, undo_shrinkage) if self.epochs else ()
-        return SHEET_FUNCTIONS + (sheet_points, uneven_places, blend_sides, fill_lattice) + maps
+        return SHEET_FUNCTIONS + (sheet_points, see_relief, uneven_places, blend_sides, fill_lattice) + maps
 
 
 def _corners(nodes: Array) -> Array:
