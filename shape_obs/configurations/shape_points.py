@@ -56,10 +56,12 @@ def shape_of(
         points3d = points3d if len(points3d) else None
     else:
         in_image = found.observed.dimension == 2
-        points2d, points3d, visible, valid = (_points_in_image if in_image else _points_in_cloud)(spec, found, frame)
+        points2d, points3d, visible, valid, off = (_points_in_image if in_image else _points_in_cloud)(
+            spec, found, frame
+        )
         sigma = expected_error(
             points2d, points3d, visible, valid, spec.layout, size=found.size, resolution=found.observed.resolution,
-            in_image=in_image, camera=camera, diagonal=diagonal,
+            in_image=in_image, camera=camera, diagonal=diagonal, off=off,
         )  # fmt: skip
     known = np.count_nonzero(valid)
     reason = _doubt(spec, found, points2d, points3d, valid if known else None, camera)
@@ -95,8 +97,8 @@ def _doubt(
     return validate_gaps(points3d.astype(np.float64), valid, spec.layout, error)
 
 
-# Pixels, points in space (those that were not seen where the form puts them), visible, valid.
-_Parts = tuple[npt.NDArray[np.float32] | None, npt.NDArray[np.float32] | None, Mask, Mask]
+# Pixels, points in space (those that were not seen where the form puts them), visible, valid, ``Points.off``.
+_Parts = tuple[npt.NDArray[np.float32] | None, npt.NDArray[np.float32] | None, Mask, Mask, Array | None]
 
 
 def _is_metric_curve(found: Fit) -> bool:
@@ -118,10 +120,10 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
         lifted = lift_form(form, under, camera.intrinsics) if uneven else None
         metric = form if lifted is None else form.with_points(lifted)
     placed = spec.resample(form, metric) if found.centres is None else _without_gaps(found.centres)
-    points, interpolated, at, relief, steep = placed
+    points, interpolated, at, relief, steep, off = placed
     if depth is None or camera is None:
         visible = region.carries(points) & ~interpolated
-        return points.astype(np.float32), None, visible, visible.copy()
+        return points.astype(np.float32), None, visible, visible.copy(), None
     if isinstance(form, FittedCurve) and form.relief is not None and relief is None:  # the points are a clusterer's
         at = _nearest(points, form.points)
         relief, steep = form.relief[at], form.steepness(width / 2)[at]
@@ -142,7 +144,7 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
             z = spec.layout.interpolate(z[:, None], known)[:, 0]
         points3d = _lift(points, z, camera.intrinsics, spec.radius).astype(np.float32)
         valid &= np.isfinite(points3d).all(axis=1)  # the lens may have no ray there
-    return pixels, points3d, visible, valid
+    return pixels, points3d, visible, valid, off
 
 
 def _lift(points: Array, z: Array, intrinsics: Intrinsics, radius: float) -> Array:
@@ -172,11 +174,11 @@ def _points_in_cloud(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
         if centres is not None:
             centres = centres + shift[_nearest(centres, form.points)]
         form = form.with_points(form.points + shift)
-    points, interpolated = (spec.resample(form, form) if centres is None else _without_gaps(centres))[:2]
+    points, interpolated, *_, off = spec.resample(form, form) if centres is None else _without_gaps(centres)
     visible = cloud.carries(points) & ~interpolated
     pixels = cloud.pixels_of(points)
     points2d = None if pixels is None else pixels.astype(np.float32)
-    return points2d, points.astype(np.float32), visible, visible & cloud.near(points)
+    return points2d, points.astype(np.float32), visible, visible & cloud.near(points), off
 
 
 def _without_gaps(centres: Array) -> Points:

@@ -41,7 +41,7 @@ from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Indices, Rim
 from shape_obs.tracking.corner_matching import STRAYED, match_corners
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
-from shape_obs.tracking.sheet_relief import Relief, see_relief
+from shape_obs.tracking.sheet_relief import RELIEF_FUNCTIONS, Relief
 from shape_obs.tracking.sheet_view import KnownSheet, SheetView, doubtful_places
 from shape_obs.tracking.validation import MAX_HIDDEN, FitQuality, validate_sheet
 
@@ -55,7 +55,6 @@ _NEAREST: Final = np.empty(0, np.int64)  # the corners nearest to the predicted 
 _NO_NODES, _NO_SIDES = np.empty((0, 2)), np.zeros(4)
 _NOTHING_OVER: Final = "the sheet is smaller than it was, and nothing lies over the rest"
 _BARELY_CUT: Final = 0.1  # of the outline, next to which something nearer is seen, as a gripper is
-_OFF: Final = 0.3  # gaps: what depth shows to be farther off its material is in doubt
 _COVERED: Final = "something lies over the sheet's border"
 _MIN_PIECE: Final = 0.8  # of the mask: the largest piece, since a sheet cannot be connected over a gap
 
@@ -113,10 +112,28 @@ class Surface(Configuration, kind="surface"):
             found = self._fit_whole(view, None, view.best_corners(), scene)
         else:
             found = self._track(view, prediction, scene)
-        if found.reason or prediction is not None:
+        if found.reason:
             return found
-        form = self.apply_index_order(found.form, observed.seen(found.form.points, target), target)
-        return found._replace(form=form, nodes=form.points)
+        if prediction is None:
+            form = self.apply_index_order(found.form, observed.seen(found.form.points, target), target)
+            found = found._replace(form=form, nodes=form.points)
+        return self._judge_relief(found, observed, scene)
+
+    def _judge_relief(self, found: Fit, observed: Observed, scene: Scene) -> Fit:
+        """Refuse a sheet whose relief shows that it is not laid out; put single nodes in doubt."""
+        form, size = found.form, (self.rows, self.cols)
+        if scene.intrinsics is not None and scene.depth is not None:
+            lattice = form.points if observed.dimension == 2 else scene.intrinsics.project(form.points)
+            region = observed.parts[-1]  # of a cloud too: the mask that it was seen in
+            relief = Relief.in_image(lattice, form.interpolated, region, scene.images, scene.intrinsics, size)
+        elif observed.dimension == 3:
+            relief = Relief.in_space(form.points, size)
+        else:
+            return found
+        reason, share = relief.verdict()
+        form = replace(form, interpolated=form.interpolated | relief.doubtful, off=relief.off)
+        laid = None if relief.off.any() else found.laid
+        return found._replace(form=form, quality=found.quality * share, reason=reason, laid=laid)
 
     def _track(self, view: SheetView, prediction: Prediction, scene: Scene) -> Fit:
         """Fit a sheet in an image: as a whole if nothing hides its border, else with its border put back."""
@@ -167,7 +184,7 @@ class Surface(Configuration, kind="surface"):
             measures = assess_lattice(flattened(patch).reshape(FINE, FINE, 2))
         corner = (0, 0.0) if metric and not buckled else (number, stray)  # in space the lengths of the sides say more
         verdict = validate_sheet(off, measures, Region.noun, math.degrees(kink), corner, self.freedom)
-        found = self._finish(view, lattice, (down, right), hints, verdict, hidden, scene)
+        found = self._finish(view, lattice, (down, right), hints, verdict, hidden)
         uneven = self.epochs or (self.spacing == "m" and scene.intrinsics is not None) or not found.form.whole
         if prediction is None or found.reason or uneven:
             return found
@@ -199,19 +216,13 @@ class Surface(Configuration, kind="surface"):
             reason = f"{share:.0%} of the sheet is hidden (at most {MAX_HIDDEN:.0%})"
         verdict = FitQuality(reason, float(border.seen.mean()) ** 0.5)
         gauges = lattice_gauges(lattice.reshape(FINE, FINE, 2))
-        return self._finish(view, lattice, gauges, known.seen_beside(border, patch), verdict, hidden, scene)
+        return self._finish(view, lattice, gauges, known.seen_beside(border, patch), verdict, hidden)
 
     def _finish(
         self, view: SheetView, lattice: Array, gauges: tuple[Array, Array], hints: TrackHints, verdict: FitQuality,
-        hidden: npt.NDArray[np.bool_], scene: Scene,
+        hidden: npt.NDArray[np.bool_],
     ) -> Fit:  # fmt: skip
         """Return the fit of a lattice of ``(625, 2)`` pixels, its inside moved with the map if that is asked for."""
-        if view.camera is not None and not verdict.reason:
-            mask, at = view.region.mask, view.region.window[:2]
-            where = lattice, hidden, scene.images, mask, at, view.camera.lens, float(self.rows), float(self.cols)
-            relief = Relief(*see_relief(*where))
-            reason, share = relief.verdict()
-            verdict, hidden = FitQuality(reason, verdict.quality * share), hidden | (relief.off > _OFF)
         form = FittedLattice(lattice, hidden, gauges, FINE, hints=hints)
         if self.epochs:
             form = form.with_points(form.points + moved_inside(form, view.region, self.epochs))
@@ -286,13 +297,14 @@ class Surface(Configuration, kind="surface"):
             hidden = sample_lattice(share, *where)[:, 0] > 0.5
         if lattice.shape[2] == 3 and form.points.shape[1] == 2:
             hidden |= uneven_places(sample_lattice(lattice, *where).reshape(self.rows, self.cols, 3))
-        return Points(places, hidden)
+        off = None if form.off is None else sample_lattice(form.off.reshape(form.rows, -1, 1), *where)[:, 0]
+        return Points(places, hidden, off=off)
 
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
         maps = (batch_epochs, gather_cells, undo_shrinkage) if self.epochs else ()
-        return SHEET_FUNCTIONS + (sheet_points, see_relief, uneven_places, blend_sides, fill_lattice) + maps
+        return SHEET_FUNCTIONS + RELIEF_FUNCTIONS + (sheet_points, uneven_places, blend_sides, fill_lattice) + maps
 
 
 def _corners(nodes: Array) -> Array:

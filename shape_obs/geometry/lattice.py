@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -32,10 +32,12 @@ class FittedLattice(FittedForm):
     Args:
         gauges: How far down each row lies, ``(rows,)``, and how far right each column, ``(cols,)``: summed mean gaps.
         rows: How many rows, from the sheet's top to its bottom; the columns follow, from left to right.
+        off: ``(P,)`` metres by which points may be off their material, see ``Relief``; None if nothing shows it.
     """
 
     gauges: tuple[Array, Array]
     rows: int
+    off: Array | None = field(default=None, kw_only=True)
 
     @classmethod
     def over(cls, points: Array, interpolated: Mask, rows: int, **other: Any) -> Self:
@@ -81,7 +83,8 @@ class FittedLattice(FittedForm):
             hints = hints._replace(reference=np.ascontiguousarray(known).reshape(hints.reference.shape))
         if hints.sides is not None:
             hints = hints._replace(sides=np.roll(hints.sides, -quarters))
-        return replace(self, points=points, interpolated=flags, gauges=gauges, rows=len(lattice), hints=hints)
+        off = None if self.off is None else np.rot90(self.off.reshape(self.rows, -1), quarters).ravel()
+        return replace(self, points=points, interpolated=flags, gauges=gauges, rows=len(lattice), off=off, hints=hints)
 
     def smoothed(self, values: Array, known: Mask) -> Array:
         """Fill ``(P,)`` values by the nearest known ones, and smooth them over 3 x 3 points by local planes."""

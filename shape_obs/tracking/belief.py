@@ -76,6 +76,7 @@ def expected_error(
     in_image: bool,
     camera: Intrinsics | None,
     diagonal: float,
+    off: Array | None,
 ) -> npt.NDArray[np.float32]:
     """Return the RMS error per axis that is expected of each point.
 
@@ -96,6 +97,7 @@ def expected_error(
         in_image: Whether it was fitted in an image.
         camera: The projection; None if there is none.
         diagonal: Of the image, pixels: the bound of errors in pixels.
+        off: ``(N,)`` metres by which a sheet's relief shows that points may be off within it; None without depth.
 
     Returns:
         ``(N,)`` float32, metres or, without ``points3d``, pixels; finite, at most the bound, which also stands where a
@@ -112,7 +114,8 @@ def expected_error(
     edges, across, _ = known_layout(layout)
     pixels = points2d if in_image and focal and points2d is not None else _NO_PIXELS
     bound = diagonal if points3d is None else MAX_SIGMA
-    return point_errors(places, pixels, visible, valid, edges, across, residual, shares.aslant, focal, noise, bound)
+    fitted = point_errors(places, pixels, visible, valid, edges, across, residual, shares.aslant, focal, noise, bound)
+    return fitted if off is None else _bounded(np.hypot(fitted, off / math.sqrt(3)), bound)
 
 
 def error_on_sheet(z: float, camera: Intrinsics) -> float:

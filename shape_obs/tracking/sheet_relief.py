@@ -1,14 +1,14 @@
 """The relief of a sheet: what depth shows of one that is folded or crumpled, and not laid out.
 
-A sheet does not stretch, so that all rows of a sheet that is laid out are equally long along its surface, and all its
-columns. A fold makes those shorter that skip what it hides. Where a piece lies over another its edge is a step in
-depth, and where the sheet goes on beneath itself its surface turns away from the camera before it ends.
+A sheet does not stretch: if it is laid out, all of its rows are equally long along the surface, and all of its columns.
+A fold makes those shorter that skip what it hides. Where a piece lies over another, its edge is a step in depth, and
+where the sheet goes on beneath itself, its surface turns away from the camera before it ends.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,184 +18,246 @@ from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages
 from shape_obs.geometry.coons import FINE
 
+if TYPE_CHECKING:
+    from shape_obs.camera import Intrinsics
+    from shape_obs.image.region import Region
+
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
 Mask = npt.NDArray[np.uint8]
 
 _LAST: Final = FINE - 1
-_MEASURED: Final = 0.8  # of the nodes of a line must have depth, so that its length is known
-# A step from one pixel to the next: metres (two layers of a towel); the slope of a crease that is none; and how often
-# the median over all gaps, which is noise.
+_MEASURED: Final = 0.8  # of the nodes of a line have depth, so that its length is known
+# A step from one pixel to the next: metres, two layers of a towel; the slope of a crease; and how often the median
+# over all gaps, which is noise.
 _STEP: Final = 0.005
 _STEP_SLOPE: Final = 1.5
 _STEP_NOISE: Final = 4.0
-# Radians: a surface that is so steep, and so much steeper than a twelfth of a side farther in, turns away.
+# Radians: a surface that is so steep at its border, and so much steeper than an eighth of a side farther in.
 _STEEP: Final = 0.9
 _STEEPER: Final = 0.5
-# Of simulated cloths that were dropped, dragged and folded: what is wrong has more, what is right has less.
-_IDEAL: Final = 0.03, 0.15, 0.05
+# Shares that noise and waves explain, and shares from which a sheet is refused. Of 130 simulated cloths that were
+# dropped, dragged and folded, all with less had points within half a cell; of 120 gently waved ones none has more.
+_IDEAL: Final = 0.03
 _MAX_SHORT: Final = 0.2
-_MAX_TORN: Final = 0.4
-_MAX_TURNED: Final = 0.25
 _MAX_LONG: Final = 0.3
+_IDEAL_TORN: Final = 0.15
+_MAX_TORN: Final = 0.4
+_IDEAL_TURNED: Final = 0.05
+_MAX_TURNED: Final = 0.25
+_NOISE: Final = 0.1  # of a gap: nodes that are off by less are not
+_DOUBTED: Final = 0.2  # of a gap, beyond that: nodes that are off by more are put in doubt
 
 
 class Relief(NamedTuple):
     """What the depth under a lattice shows.
 
     Args:
-        off: ``(625,)`` gaps by which nodes are off their material at least.
-        short: By which share of the median the shortest row or column is shorter along the surface, inside the border.
+        off: ``(625,)`` metres by which a node may be off its material, 0 for less than a tenth of a gap.
+        gap: Between two of the points that are asked for, metres.
+        short: By which share of the median the shortest row or column is shorter along the surface.
         long: The same of the longest.
-        torn: In which share of the rows or of the columns depth steps from one pixel to the next.
+        torn: Over which share of the rows, or of the columns, depth steps from one pixel to the next.
         turned: Over which share of a side the surface turns away from the camera.
     """
 
     off: Array
+    gap: float
     short: float
     long: float
-    torn: float
-    turned: float
+    torn: float = 0.0
+    turned: float = 0.0
+
+    @classmethod
+    def in_image(
+        cls, lattice: Array, hidden: Flags, region: Region, images: DepthImages, camera: Intrinsics, size: tuple[int, int]
+    ) -> Relief:  # fmt: skip
+        """Return the relief of a lattice of ``(625, 2)`` pixels.
+
+        Args:
+            lattice: Row by row.
+            hidden: ``(625,)`` nodes whose depth is not their own.
+            region: The sheet's mask.
+            images: The frame's depth.
+            camera: The projection.
+            size: Rows and columns of the points that are asked for.
+        """
+        return cls(*_see_relief(lattice, hidden, images, region.mask, region.window[:2], camera.lens, *size))
+
+    @classmethod
+    def in_space(cls, lattice: Array, size: tuple[int, int]) -> Relief:
+        """Return the relief of a lattice of ``(625, 3)`` points on a surface of which there is no image."""
+        return cls(*_compare_ways(np.ascontiguousarray(lattice), *size))
+
+    @property
+    def doubtful(self) -> Flags:
+        """``(625,)`` nodes that may be off by too much of a gap."""
+        return self.off > _DOUBTED * self.gap
 
     def verdict(self) -> tuple[str, float]:
-        """Return why this is no sheet that is laid out, empty if it is, and how far it may be believed, 0...1."""
-        reason, beneath = "", "a part of the sheet is folded beneath"
+        """Return why the sheet is not laid out, empty if it is, and how far that may be believed, 0...1."""
+        beneath = "a part of the sheet is folded beneath"
         if self.short > _MAX_SHORT or self.long > _MAX_LONG:
-            lengths = f"rows or columns from {1 - self.short:.0%} to {1 + self.long:.0%} of their usual length"
-            reason = f"the surface has {lengths} (at least {1 - _MAX_SHORT:.0%}): {beneath}"
-        elif self.torn > _MAX_TORN:
-            reason = f"depth steps within {self.torn:.0%} of the rows or columns (at most {_MAX_TORN:.0%}): the sheet lies over itself"
-        elif self.turned > _MAX_TURNED:
-            reason = f"{self.turned:.0%} of a side turn away from the camera (at most {_MAX_TURNED:.0%}): {beneath}"
-        if reason:
-            return reason, 0.0
-        worst = (self.short, _MAX_SHORT), (self.torn, _MAX_TORN), (self.turned, _MAX_TURNED)
-        left = [1 - max(share - least, 0.0) / (most - least) for (share, most), least in zip(worst, _IDEAL, strict=True)]
-        return "", math.prod(left) ** 0.5
+            lengths = f"{-self.short:.0%} to {self.long:+.0%}, at most {-_MAX_SHORT:.0%} and {_MAX_LONG:+.0%}"
+            return f"rows or columns are not equally long along the surface ({lengths}): {beneath}", 0.0
+        if self.torn > _MAX_TORN:
+            lines = f"{self.torn:.0%} of the rows or columns (at most {_MAX_TORN:.0%})"
+            return f"depth steps within {lines}: the sheet lies over itself", 0.0
+        if self.turned > _MAX_TURNED:
+            side = f"{self.turned:.0%} of a side (at most {_MAX_TURNED:.0%})"
+            return f"the surface turns away from the camera along {side}: {beneath}", 0.0
+        shares = (
+            _left(self.short, _IDEAL, _MAX_SHORT), _left(self.long, _IDEAL, _MAX_LONG),
+            _left(self.torn, _IDEAL_TORN, _MAX_TORN), _left(self.turned, _IDEAL_TURNED, _MAX_TURNED),
+        )  # fmt: skip
+        return "", math.prod(shares) ** 0.5
 
 
-@compiled("(f8[:,::1], b1[::1], " + DEPTH_TYPE + ", u1[:,::1], UniTuple(i8, 2), f8[::1], f8, f8)")
-def see_relief(
-    lattice: Array, hidden: Flags, depth: DepthImages, mask: Mask, at: tuple[int, int], lens: Array, rows: float,
-    cols: float,
-) -> tuple[Array, float, float, float, float]:  # fmt: skip
-    """Return the fields of ``Relief``.
+def _left(share: float, ideal: float, most: float) -> float:
+    """Return how far a share is from its limit, 1 for what is ideal, 0 at the limit."""
+    return 1 - max(share - ideal, 0.0) / (most - ideal)
 
-    Let w be the way along the surface from the begin of a row to node k of n, W' the row's whole length and W the
-    median of all rows. In the material no node lies farther from a side than the way to it is long, so that it is off
-    by at least::
+
+@compiled("(f8[:,::1], i8, i8)")
+def _compare_ways(space: Array, rows: int, cols: int) -> tuple[Array, float, float, float]:
+    """Return the first four fields of ``Relief``.
+
+    Let w be the way along the surface from the begin of a row to node k of n, W' the row's whole length, and W the
+    median of all rows. In the material no node lies farther from a side than the way to that side is long, so that node
+    k is off by at least::
 
         max(0, k/n W - w, (1 - k/n) W - (W' - w))
 
-    Depth is smeared at the border: ways begin at the second node and end at the last but one.
+    and where W' differs from W it is anywhere in between: |W' - W| / sqrt(12). Depth is smeared at a border: ways begin
+    at the second node and end at the last but one.
 
     Args:
-        lattice: ``(625, 2)`` pixels.
-        hidden: ``(625,)`` nodes whose depth is not their own.
-        depth: The frame's.
-        mask: ``(h, w)`` of the sheet.
-        at: Image column and row of its first pixel.
-        lens: See ``Intrinsics.lens``.
-        rows: Of the points that are asked for, whose gaps are the unit of ``off``.
+        space: ``(625, 3)`` metres; NaN for nodes without depth.
+        rows: See ``Relief.in_image``.
         cols: The same.
     """
-    rays, focal = viewing_rays(lattice, lens), (lens[0] + lens[1]) / 2
-    off, short, long, torn, turned = np.zeros((FINE, FINE)), 0.0, 0.0, 0.0, 0.0
-    steps, nodes, begins = np.empty((2, FINE, FINE)), np.empty(FINE, np.int64), np.empty(FINE, np.int64)
-    ways, lengths, space = np.empty((FINE, FINE)), np.empty(FINE), np.empty(3)
-    floor = np.inf
-    for way in range(2):
-        steps[way], lengths[:] = 0.0, np.nan
+    off, gap, short, long = np.zeros((FINE, FINE)), np.inf, 0.0, 0.0
+    for down in range(2):
+        ways, lengths = np.full((FINE, FINE), np.nan), np.full(FINE, np.nan)
+        for i in range(1, _LAST):
+            last, seen, way = 0, 0, 0.0
+            for k in range(1, _LAST):
+                p, q = (k * FINE + i, last * FINE + i) if down else (i * FINE + k, i * FINE + last)
+                if math.isfinite(space[p, 0]):
+                    square = 0.0
+                    for d in range(3):
+                        square += (space[p, d] - space[q, d]) ** 2
+                    way += math.sqrt(square) if last else 0.0
+                    ways[i, k], last, seen = way, k, seen + 1
+            if seen >= _MEASURED * (FINE - 2) and last == _LAST - 1 and ways[i, 1] == 0:
+                lengths[i] = way
+        whole = np.nanmedian(lengths)
+        if whole > 0:
+            gap = min(gap, whole * (FINE - 1) / (FINE - 3) / (rows if down else cols))
+        for i in range(1, _LAST):
+            excess = lengths[i] / whole - 1
+            if not math.isfinite(excess):
+                continue
+            short, long = max(short, -excess), max(long, excess)
+            anywhere = max(abs(excess) - _IDEAL, 0.0) / math.sqrt(12)
+            for k in range(1, _LAST):
+                if math.isfinite(ways[i, k]):
+                    share, way, row, col = (k - 1) / (FINE - 3), ways[i, k] / whole, k if down else i, i if down else k
+                    least = max(share - way, 1 - share - (excess + 1 - way), 0.0)
+                    off[row, col] = math.hypot(off[row, col], math.hypot(least, anywhere) * whole)
+    for i in range(FINE * FINE):
+        row, col = i // FINE, i % FINE
+        off[row, col] = off[min(max(row, 1), _LAST - 1), min(max(col, 1), _LAST - 1)]
+    return np.maximum(off - _NOISE * gap, 0.0).reshape(FINE * FINE), gap, short, long
+
+
+@compiled("(f8[:,::1], b1[::1], " + DEPTH_TYPE + ", u1[:,::1], UniTuple(i8, 2), f8[::1], i8, i8)")
+def _see_relief(
+    lattice: Array, hidden: Flags, depth: DepthImages, mask: Mask, at: tuple[int, int], lens: Array, rows: int, cols: int
+) -> tuple[Array, float, float, float, float, float]:  # fmt: skip
+    """Return the fields of ``Relief`` as ``Relief.in_image`` takes the lattice, pixel by pixel along its lines."""
+    rays, focal, torn, turned, nearest = viewing_rays(lattice, lens), (lens[0] + lens[1]) / 2, 0.0, 0.0, np.inf
+    space, steps = np.full((FINE * FINE, 3), np.nan), np.zeros((2, FINE, FINE))
+    nodes, begins = np.empty(FINE, np.int64), np.empty(FINE, np.int64)
+    for down in range(2):
         away = np.zeros(2)
         for i in range(1, _LAST):
             for k in range(FINE):
-                nodes[k] = k * FINE + i if way else i * FINE + k
+                nodes[k] = k * FINE + i if down else i * FINE + k
             z = _profile(lattice, hidden, depth, mask, at, nodes, begins)
-            last, seen, length = 0, 0, 0.0
-            for k in range(1, _LAST):
+            for k in range(FINE):
                 here = z[begins[k]]
                 if math.isfinite(here):
-                    square = 0.0
+                    nearest = min(nearest, here)
                     for d in range(3):
-                        there = rays[nodes[k], d] * here
-                        square += (there - space[d]) ** 2
-                        space[d] = there
-                    length += math.sqrt(square) if last else 0.0
-                    seen, last = seen + 1, k
-                    floor = min(floor, here)
-                ways[i, k] = length if last == k else np.nan
-            if seen >= _MEASURED * (FINE - 2) and last == _LAST - 1 and math.isfinite(z[begins[1]]):
-                lengths[i] = length
+                        space[nodes[k], d] = rays[nodes[k], d] * here
             for k in range(1, _LAST - 1):
                 trend = (z[begins[k + 2]] - z[begins[k - 1]]) / (begins[k + 2] - begins[k - 1])
                 for j in range(begins[k], begins[k + 1]):
                     step = abs(z[j + 1] - z[j] - (trend if math.isfinite(trend) else 0.0))
-                    steps[way, i, k] = max(steps[way, i, k], step if math.isfinite(step) else 0.0)
-            for end in range(2):
-                away[end] += _turns_away(z[::-1] if end else z, begins, end, lattice, nodes, focal)
+                    steps[down, i, k] = max(steps[down, i, k], step if math.isfinite(step) else 0.0)
+            first, third = begins[1], begins[3]
+            away[0] += _turns_away(z, first, third, _apart(lattice, nodes[0], nodes[3]) / focal)
+            first, third = begins[_LAST] - begins[_LAST - 1], begins[_LAST] - begins[_LAST - 3]
+            away[1] += _turns_away(z[::-1], first, third, _apart(lattice, nodes[_LAST], nodes[_LAST - 3]) / focal)
         turned = max(turned, away.max() / (FINE - 2))
-        whole = np.nanmedian(lengths)
-        for i in range(1, _LAST):
-            if lengths[i] > 0:
-                short, long = max(short, 1 - lengths[i] / whole), max(long, lengths[i] / whole - 1)
-                for k in range(1, _LAST):
-                    if math.isnan(ways[i, k]):
-                        continue
-                    share, row, col = (k - 1) / (FINE - 3), k if way else i, i if way else k
-                    behind, ahead = share * whole - ways[i, k], (1 - share) * whole - (lengths[i] - ways[i, k])
-                    gap = whole * (FINE - 1) / (FINE - 3) / (rows if way else cols)
-                    off[row, col] = math.hypot(off[row, col], max(behind, ahead, 0.0) / gap)
-    limit = max(_STEP, _STEP_NOISE * np.median(steps[:, 1:-1, 1:-2]), _STEP_SLOPE * floor / focal)
-    for way in range(2):
+    limit = max(_STEP, _STEP_NOISE * np.median(steps[:, 1:_LAST, 1 : _LAST - 1]), _STEP_SLOPE * nearest / focal)
+    for down in range(2):
         lines = 0
         for i in range(1, _LAST):
-            lines += steps[way, i].max() > limit
+            lines += steps[down, i].max() > limit
         torn = max(torn, lines / (FINE - 2))
-    for i in range(FINE):
-        inside = min(max(i, 1), _LAST - 1)
-        off[0, i], off[_LAST, i] = off[1, inside], off[_LAST - 1, inside]
-    for i in range(FINE):
-        off[i, 0], off[i, _LAST] = off[i, 1], off[i, _LAST - 1]
-    return off.reshape(FINE * FINE), short, long, torn, turned
+    off, gap, short, long = _compare_ways(space, rows, cols)
+    return off, gap, short, long, torn, turned
 
 
 @compiled
 def _profile(
     lattice: Array, hidden: Flags, depth: DepthImages, mask: Mask, at: tuple[int, int], nodes: Indices, begins: Indices
 ) -> Array:  # fmt: skip
-    """Return the depth along a line of nodes, pixel by pixel, NaN where there is none; fill where its nodes are."""
+    """Return the depth along a line of nodes, pixel by pixel, NaN where it is unknown; fill where each node begins."""
     count = 0
-    for k in range(len(nodes)):
+    for k in range(FINE):
         begins[k] = count
-        if k < len(nodes) - 1:
+        if k < _LAST:
             a, b = lattice[nodes[k]], lattice[nodes[k + 1]]
             count += max(math.ceil(max(abs(b[0] - a[0]), abs(b[1] - a[1]))), 1)
     z = np.full(count + 1, np.nan)
-    for k in range(len(nodes)):
-        a, b = lattice[nodes[k]], lattice[nodes[min(k + 1, len(nodes) - 1)]]
-        gap = begins[k + 1] - begins[k] if k < len(nodes) - 1 else 1
-        if hidden[nodes[k]]:
-            continue
-        for j in range(gap):
-            u, v = round(a[0] + (b[0] - a[0]) * j / gap), round(a[1] + (b[1] - a[1]) * j / gap)
+    for k in range(FINE):
+        a, b = lattice[nodes[k]], lattice[nodes[min(k + 1, _LAST)]]
+        pixels = begins[k + 1] - begins[k] if k < _LAST else 1
+        for j in range(0 if hidden[nodes[k]] else pixels):
+            u, v = round(a[0] + (b[0] - a[0]) * j / pixels), round(a[1] + (b[1] - a[1]) * j / pixels)
             x, y = u - at[0], v - at[1]
             if 0 <= y < mask.shape[0] and 0 <= x < mask.shape[1] and mask[y, x] > 0:
                 here = float(depth[1][v, u]) if len(depth[0]) == 0 else depth[0][v, u] * MILLIMETRE
-                if 0 < here < FARTHEST:
-                    z[begins[k] + j] = here
+                z[begins[k] + j] = here if 0 < here < FARTHEST else np.nan
     return z
 
 
 @compiled
-def _turns_away(z: Array, begins: Indices, end: int, lattice: Array, nodes: Indices, focal: float) -> bool:
-    """Return whether the surface turns away from the camera at the end of a line whose depth begins there."""
-    first, third = (begins[-1] - begins[-2], begins[-1] - begins[-4]) if end else (begins[1], begins[3])
+def _turns_away(z: Array, first: int, third: int, angle: float) -> bool:
+    """Return whether a surface turns away from the camera where its depth ``(P,)`` along a line begins.
+
+    Args:
+        z: Metres.
+        first: Where the second node of the line is.
+        third: Where the fourth is.
+        angle: Radians that the camera sees from the begin to there.
+    """
     rim = 0
     while rim < first // 2 and math.isnan(z[rim]):
         rim += 1
-    inner = min(rim + max(first // 2, 2), len(z) - 1)
-    a, b = lattice[nodes[-1 if end else 0]], lattice[nodes[-4 if end else 3]]
-    pixel = z[third] / focal * math.hypot(b[0] - a[0], b[1] - a[1]) / third  # metres from one place to the next
-    steep, before = math.atan((z[rim] - z[inner]) / (pixel * (inner - rim))), math.atan((z[first] - z[third]) / (pixel * (third - first)))
-    return steep > _STEEP and steep - before > _STEEPER
+    inner, place = min(rim + max(first // 2, 2), len(z) - 1), z[third] * angle / third  # metres from place to place
+    steep = math.atan((z[rim] - z[inner]) / (place * (inner - rim)))
+    return steep > _STEEP and steep - math.atan((z[first] - z[third]) / (place * (third - first))) > _STEEPER
+
+
+@compiled
+def _apart(lattice: Array, p: int, q: int) -> float:
+    """Return the distance of two nodes, pixels."""
+    return math.hypot(lattice[p, 0] - lattice[q, 0], lattice[p, 1] - lattice[q, 1])
+
+
+RELIEF_FUNCTIONS: Final = _see_relief, _compare_ways
