@@ -8,7 +8,7 @@ where the sheet goes on beneath itself, its surface turns away from the camera b
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -26,25 +26,27 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
 Mask = npt.NDArray[np.uint8]
+Place = tuple[int, int]
 
 _LAST: Final = FINE - 1
 _MEASURED: Final = 0.8  # of the nodes of a line have depth, so that its length is known
-# A step from one pixel to the next: metres, two layers of a towel; the slope of a crease; and how often the median
+_SAMPLES: Final = 6  # of depth from a node of a line to the next, at most
+# A step from one sample to the next: metres, two layers of a towel; the slope of a crease; and how often the median
 # over all gaps, which is noise.
 _STEP: Final = 0.005
 _STEP_SLOPE: Final = 1.5
 _STEP_NOISE: Final = 4.0
 # Radians: a surface that is so steep at its border, and so much steeper than an eighth of a side farther in.
-_STEEP: Final = 0.9
-_STEEPER: Final = 0.5
+_STEEP: Final = 0.7
+_STEEPER: Final = 0.45
 # Shares that noise and waves explain, and shares from which a sheet is refused. Of 130 simulated cloths that were
 # dropped, dragged and folded, all with less had points within half a cell; of 120 gently waved ones none has more.
 _IDEAL: Final = 0.03
 _MAX_SHORT: Final = 0.2
 _MAX_LONG: Final = 0.3
-_IDEAL_TORN: Final = 0.15
+_IDEAL_TORN: Final = 0.25
 _MAX_TORN: Final = 0.4
-_IDEAL_TURNED: Final = 0.05
+_IDEAL_TURNED: Final = 0.2
 _MAX_TURNED: Final = 0.25
 _NOISE: Final = 0.1  # of a gap: nodes that are off by less are not
 _DOUBTED: Final = 0.2  # of a gap, beyond that: nodes that are off by more are put in doubt
@@ -71,8 +73,8 @@ class Relief(NamedTuple):
 
     @classmethod
     def in_image(
-        cls, lattice: Array, hidden: Flags, region: Region, images: DepthImages, camera: Intrinsics, size: tuple[int, int]
-    ) -> Relief:  # fmt: skip
+        cls, lattice: Array, hidden: Flags, region: Region, images: DepthImages, camera: Intrinsics, size: Place
+    ) -> Relief:
         """Return the relief of a lattice of ``(625, 2)`` pixels.
 
         Args:
@@ -86,7 +88,7 @@ class Relief(NamedTuple):
         return cls(*_see_relief(lattice, hidden, images, region.mask, region.window[:2], camera.lens, *size))
 
     @classmethod
-    def in_space(cls, lattice: Array, size: tuple[int, int]) -> Relief:
+    def in_space(cls, lattice: Array, size: Place) -> Relief:
         """Return the relief of a lattice of ``(625, 3)`` points on a surface of which there is no image."""
         return cls(*_compare_ways(np.ascontiguousarray(lattice), *size))
 
@@ -174,65 +176,89 @@ def _compare_ways(space: Array, rows: int, cols: int) -> tuple[Array, float, flo
 
 @compiled("(f8[:,::1], b1[::1], " + DEPTH_TYPE + ", u1[:,::1], UniTuple(i8, 2), f8[::1], i8, i8)")
 def _see_relief(
-    lattice: Array, hidden: Flags, depth: DepthImages, mask: Mask, at: tuple[int, int], lens: Array, rows: int, cols: int
+    lattice: Array, hidden: Flags, depth: DepthImages, mask: Mask, at: Place, lens: Array, rows: int, cols: int
+) -> tuple[Array, float, float, float, float, float]:
+    """Return the fields of ``Relief`` as ``Relief.in_image`` takes the lattice."""
+    if len(depth[0]) > 0:
+        return _look(lattice, hidden, depth[0], MILLIMETRE, mask, at, lens, rows, cols)
+    return _look(lattice, hidden, depth[1], 1.0, mask, at, lens, rows, cols)
+
+
+@compiled
+def _look(
+    lattice: Array, hidden: Flags, depth: npt.NDArray[Any], unit: float, mask: Mask, at: Place, lens: Array, rows: int,
+    cols: int,
 ) -> tuple[Array, float, float, float, float, float]:  # fmt: skip
-    """Return the fields of ``Relief`` as ``Relief.in_image`` takes the lattice, pixel by pixel along its lines."""
-    rays, focal, torn, turned, nearest = viewing_rays(lattice, lens), (lens[0] + lens[1]) / 2, 0.0, 0.0, np.inf
-    space, steps = np.full((FINE * FINE, 3), np.nan), np.zeros((2, FINE, FINE))
-    nodes, begins = np.empty(FINE, np.int64), np.empty(FINE, np.int64)
+    """Return the fields of ``Relief``; steps are looked for along every other line of the lattice."""
+    space, focal, torn, turned, spacing = viewing_rays(lattice, lens), (lens[0] + lens[1]) / 2, 0.0, 0.0, 0.0
+    steps, begins = np.zeros((2, FINE // 2, FINE)), np.empty(FINE, np.int64)
+    for p in range(len(lattice)):
+        z = np.nan if hidden[p] else _depth_at(lattice[p, 0], lattice[p, 1], depth, unit, mask, at)
+        for d in range(3):
+            space[p, d] *= z
     for down in range(2):
         away = np.zeros(2)
-        for i in range(1, _LAST):
-            for k in range(FINE):
-                nodes[k] = k * FINE + i if down else i * FINE + k
-            z = _profile(lattice, hidden, depth, mask, at, nodes, begins)
-            for k in range(FINE):
-                here = z[begins[k]]
-                if math.isfinite(here):
-                    nearest = min(nearest, here)
-                    for d in range(3):
-                        space[nodes[k], d] = rays[nodes[k], d] * here
+        for i in range(FINE // 2):
+            first, step = (2 * i + 1, FINE) if down else ((2 * i + 1) * FINE, 1)
+            nodes = np.arange(first, first + FINE * step, step)
+            along = _profile(lattice, hidden, depth, unit, mask, at, nodes, begins)
+            last, wide = begins[_LAST], lattice[nodes[_LAST]] - lattice[nodes[0]]
+            angle = math.hypot(wide[0], wide[1]) / (last * focal)
+            middle = along[begins[FINE // 2]] * angle
+            spacing = max(spacing, middle if math.isfinite(middle) else 0.0)
             for k in range(1, _LAST - 1):
-                trend = (z[begins[k + 2]] - z[begins[k - 1]]) / (begins[k + 2] - begins[k - 1])
+                trend = (along[begins[k + 2]] - along[begins[k - 1]]) / (begins[k + 2] - begins[k - 1])
                 for j in range(begins[k], begins[k + 1]):
-                    step = abs(z[j + 1] - z[j] - (trend if math.isfinite(trend) else 0.0))
-                    steps[down, i, k] = max(steps[down, i, k], step if math.isfinite(step) else 0.0)
-            first, third = begins[1], begins[3]
-            away[0] += _turns_away(z, first, third, _apart(lattice, nodes[0], nodes[3]) / focal)
-            first, third = begins[_LAST] - begins[_LAST - 1], begins[_LAST] - begins[_LAST - 3]
-            away[1] += _turns_away(z[::-1], first, third, _apart(lattice, nodes[_LAST], nodes[_LAST - 3]) / focal)
-        turned = max(turned, away.max() / (FINE - 2))
-    limit = max(_STEP, _STEP_NOISE * np.median(steps[:, 1:_LAST, 1 : _LAST - 1]), _STEP_SLOPE * nearest / focal)
+                    rise = abs(along[j + 1] - along[j] - (trend if math.isfinite(trend) else 0.0))
+                    if rise > steps[down, i, k]:
+                        steps[down, i, k] = rise
+            away[0] += _turns_away(along, begins[1], begins[3], angle)
+            away[1] += _turns_away(along[::-1], last - begins[_LAST - 1], last - begins[_LAST - 3], angle)
+        turned = max(turned, away.max() / (FINE // 2))
+    limit = max(_STEP, _STEP_NOISE * np.median(steps[:, :, 1 : _LAST - 1]), _STEP_SLOPE * spacing)
     for down in range(2):
         lines = 0
-        for i in range(1, _LAST):
+        for i in range(FINE // 2):
             lines += steps[down, i].max() > limit
-        torn = max(torn, lines / (FINE - 2))
+        torn = max(torn, lines / (FINE // 2))
     off, gap, short, long = _compare_ways(space, rows, cols)
     return off, gap, short, long, torn, turned
 
 
+@compiled(inline=True)
+def _depth_at(u: float, v: float, depth: npt.NDArray[Any], unit: float, mask: Mask, at: Place) -> float:
+    """Return the depth of a pixel of the mask, metres; NaN where it is unknown."""
+    column, row = int(u + 0.5), int(v + 0.5)
+    x, y = column - at[0], row - at[1]
+    if not (0 <= y < mask.shape[0] and 0 <= x < mask.shape[1]) or mask[y, x] == 0:
+        return np.nan
+    z = depth[row, column] * unit
+    return z if 0 < z < FARTHEST else np.nan
+
+
 @compiled
 def _profile(
-    lattice: Array, hidden: Flags, depth: DepthImages, mask: Mask, at: tuple[int, int], nodes: Indices, begins: Indices
+    lattice: Array, hidden: Flags, depth: npt.NDArray[Any], unit: float, mask: Mask, at: Place, nodes: Indices,
+    begins: Indices,
 ) -> Array:  # fmt: skip
-    """Return the depth along a line of nodes, pixel by pixel, NaN where it is unknown; fill where each node begins."""
+    """Return the depth along a line of nodes, NaN where it is unknown; fill where each node begins."""
     count = 0
     for k in range(FINE):
         begins[k] = count
         if k < _LAST:
-            a, b = lattice[nodes[k]], lattice[nodes[k + 1]]
-            count += max(math.ceil(max(abs(b[0] - a[0]), abs(b[1] - a[1]))), 1)
+            p, q = nodes[k], nodes[k + 1]
+            pixels = max(abs(lattice[q, 0] - lattice[p, 0]), abs(lattice[q, 1] - lattice[p, 1]))
+            count += min(max(math.ceil(pixels), 1), _SAMPLES)
     z = np.full(count + 1, np.nan)
     for k in range(FINE):
-        a, b = lattice[nodes[k]], lattice[nodes[min(k + 1, _LAST)]]
-        pixels = begins[k + 1] - begins[k] if k < _LAST else 1
-        for j in range(0 if hidden[nodes[k]] else pixels):
-            u, v = round(a[0] + (b[0] - a[0]) * j / pixels), round(a[1] + (b[1] - a[1]) * j / pixels)
-            x, y = u - at[0], v - at[1]
-            if 0 <= y < mask.shape[0] and 0 <= x < mask.shape[1] and mask[y, x] > 0:
-                here = float(depth[1][v, u]) if len(depth[0]) == 0 else depth[0][v, u] * MILLIMETRE
-                z[begins[k] + j] = here if 0 < here < FARTHEST else np.nan
+        p, q = nodes[k], nodes[min(k + 1, _LAST)]
+        samples = begins[k + 1] - begins[k] if k < _LAST else 1
+        if not hidden[p]:
+            across, down = (lattice[q, 0] - lattice[p, 0]) / samples, (lattice[q, 1] - lattice[p, 1]) / samples
+            for j in range(samples):
+                z[begins[k] + j] = _depth_at(
+                    lattice[p, 0] + across * j, lattice[p, 1] + down * j, depth, unit, mask, at
+                )
     return z
 
 
@@ -244,20 +270,14 @@ def _turns_away(z: Array, first: int, third: int, angle: float) -> bool:
         z: Metres.
         first: Where the second node of the line is.
         third: Where the fourth is.
-        angle: Radians that the camera sees from the begin to there.
+        angle: Radians from place to place, as the camera sees them.
     """
     rim = 0
     while rim < first // 2 and math.isnan(z[rim]):
         rim += 1
-    inner, place = min(rim + max(first // 2, 2), len(z) - 1), z[third] * angle / third  # metres from place to place
+    inner, place = min(rim + max(first // 2, 2), len(z) - 1), z[third] * angle  # metres from place to place
     steep = math.atan((z[rim] - z[inner]) / (place * (inner - rim)))
     return steep > _STEEP and steep - math.atan((z[first] - z[third]) / (place * (third - first))) > _STEEPER
-
-
-@compiled
-def _apart(lattice: Array, p: int, q: int) -> float:
-    """Return the distance of two nodes, pixels."""
-    return math.hypot(lattice[p, 0] - lattice[q, 0], lattice[p, 1] - lattice[q, 1])
 
 
 RELIEF_FUNCTIONS: Final = _see_relief, _compare_ways
