@@ -29,8 +29,9 @@ from tests.benchmarks.scores import (
     score_sheet,
     tally,
 )
-from tests.benchmarks.tables import Row, failures, mean, of, total, worst
-from tests.scenes.flat_objects import FlatScene, Hand, Motion, View, cloth
+from tests.benchmarks.tables import Column, Row, failures, mean, of, percent, total, worst
+from tests.scenes.crumpled import SIDE, Handling, crumpled, from_above, waved
+from tests.scenes.flat_objects import FlatScene, Hand, Motion, View, cloth, noisy_depth
 from tests.scenes.sheets import random_sheet, true_lattice, turning_sheet
 
 LATTICES: Final = ((4, 8), (2, 2), (3, 3), (8, 8), (6, 10))
@@ -107,6 +108,41 @@ def seen_points(scenes: Iterable[FlatScene], view: View, with_depth: bool) -> It
         yield claimed(shape, off, errors, true[..., 5].ravel() > 0.5, scene.shown, name)
 
 
+def cloths_from_above(effort: Effort) -> Iterator[tuple[str, str, FlatScene]]:
+    """Draw crumpled and gently waved cloths from straight above, orthographic and from 0.7 m, there with noise too."""
+    views = {"from 0.7 m": View(), "orthographic": View(wall=False, focal=6400.0)}
+    for seed in effort.seeds(100):
+        rng = np.random.default_rng(seed)
+        cloths = {"crumpled": crumpled(rng, get_args(Handling)[seed % 4]), "waved": waved(rng, rng.uniform(0.0, 0.6))}
+        degrees = rng.uniform(0, 360)
+        for (kind, vertices), (name, view) in product(cloths.items(), views.items()):
+            yield kind, name, from_above(vertices, view, degrees)
+        noisy = noisy_depth(iter([from_above(each, View(), degrees) for each in cloths.values()]), View(), seed)
+        yield from ((kind, "from 0.7 m, noisy", scene) for kind, scene in zip(cloths, noisy, strict=True))
+
+
+def judge_laid(scene: tuple[str, str, FlatScene]) -> Iterator[Row]:
+    """Detect a cloth cold; compare all of its points with the material, numbered as fits best, in cells."""
+    kind, view, seen = scene
+    for rows, cols in ((4, 8), (8, 8)):
+        camera = View(focal=6400.0 if view == "orthographic" else 386.0).intrinsics
+        detector = ShapeDetector(Surface(rows=rows, cols=cols), on_invalid="interpolate")
+        shape, row = detector.detect_mask(seen.mask, seen.depth, camera).shapes[0], {"kind": kind, "view": view}
+        if shape.reason:
+            yield Row(**row, ok=False, off=float("nan"), valid_off=0.0, valid=float("nan"))
+            continue
+        turned = [np.rot90(side, k) for side in (seen.space, seen.space[::-1]) for k in range(4)]
+        found = np.asarray(shape.points3d, np.float64).reshape(rows, cols, 3)
+        off = [np.linalg.norm(found - true_lattice(true, rows, cols, "centers"), axis=-1) for true in turned]
+        cells = min(off, key=np.mean).ravel() / (SIDE / cols)
+        most = float(cells[shape.valid].max(initial=0.0))
+        yield Row(**row, ok=True, off=float(cells.mean()), valid_off=most, valid=float(shape.valid.mean()))
+
+
+def _beyond(field: str, most: float) -> Column:
+    return lambda rows: 100 * sum(row[field] > most for row in rows) / max(sum(row["ok"] for row in rows), 1)
+
+
 _UNFOLDED: Final = {"motion": tuple(f"{name}{end}" for name in ("tilted", "corner up") for end in ("", ", no wall"))}
 CLAIMS: Final = (
     Claim(
@@ -144,5 +180,17 @@ CLAIMS: Final = (
               ("rows", "motion"), VISIBLE,
               limits=(*(replace(each, where=_UNFOLDED) for each in VISIBLE_LIMITS), Limit("slips [%]", at_most=4)))
         for name, noise in (("exact", False), ("noisy", True))
+    ),
+    Claim(
+        "sheets.laid", "Square cloths of 50 cm from above, crumpled (dropped, dragged, folded) and gently waved, cold.",
+        cloths_from_above, judge_laid, ("kind", "view"),
+        {"detections": len, "ok [%]": percent("ok"), "of these off by half a cell [%]": _beyond("off", 0.5),
+         "a valid point off by a cell [%]": _beyond("valid_off", 1.0), "worst [cells]": of(worst, "off"),
+         "valid": of(mean, "valid")},
+        limits=(
+            Limit("ok [%]", at_least=98, unit="%", where={"kind": "waved"}),
+            Limit("of these off by half a cell [%]", at_most=5, unit="%"),
+            Limit("a valid point off by a cell [%]", at_most=0, unit="%"),
+        ),
     ),
 )  # fmt: skip

@@ -16,6 +16,8 @@ from shape_obs import Intrinsics, ShapeDetector, Surface
 from shape_obs.bench.scenes import Sheet, draw_sheet
 from shape_obs.metrics import calinski_harabasz, nearest
 from tests.benchmarks.scores import ASPECTS, best_corner, by_the_rule
+from tests.scenes.crumpled import from_above, waved
+from tests.scenes.flat_objects import FlatScene, View, cloth, noisy_depth, rolled, seen
 from tests.scenes.sheets import random_sheet, rotation, true_lattice
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "real"
@@ -202,6 +204,53 @@ class TestRealMasks:
             mask = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
             assert mask is not None
             assert "too slender" in one(mask).reason
+
+
+BEYOND = {"beneath": (1, 1, -1), "over": (1, 1, 1)}  # a cloth rolled up lies over itself, its mirror image beneath
+
+
+def folded(where: str, degrees: float, share: float, radius: float = 0.008) -> FlatScene:
+    """Draw a cloth that is folded over a line at a share of the way from its middle, seen from straight above."""
+    flat, way = cloth(1.0), np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
+    space = rolled(flat, way, share * (flat @ way).max(), radius, np.pi if where else 0.0)
+    return seen(space * BEYOND.get(where, (1, 1, 1)) + [0, 0, 0.62], False, View(), None)
+
+
+def in_space(scene: FlatScene, **options: Any) -> Any:
+    return one(scene.mask, Surface(**options), depth=scene.depth, camera=View().intrinsics)
+
+
+@pytest.mark.parametrize("options", [{}, {"spacing": "m"}, {"lift": "cloud"}, {"rows": 8}])
+@pytest.mark.parametrize(
+    ("where", "degrees", "share", "radius"),
+    [("beneath", 45, 0.5, 0.008), ("over", 45, 0.6, 0.008), ("over", 0, 0.6, 0.008), ("beneath", 0, 0.3, 0.02)],
+)
+def test_depth_shows_that_a_cloth_is_folded(where, degrees, share, radius, options):
+    shape = in_space(folded(where, degrees, share, radius), **options)
+    assert not shape.ok
+    assert "beneath" in shape.reason or "over itself" in shape.reason
+
+
+def test_a_small_corner_beneath_leaves_the_rest_of_a_cloth():
+    laid, shape = in_space(folded("", 0, 1.0)), in_space(folded("beneath", 30, 0.8))
+    assert laid.valid.all()
+    assert laid.quality > 0.95
+    assert shape.ok, shape.reason
+    assert shape.quality < 0.8
+    lost = ~shape.valid
+    assert 1 <= lost.sum() <= 8
+    assert shape.sigma[lost].min() > 3 * laid.sigma.max()
+
+
+@pytest.mark.parametrize("steepest", [0.3, 0.6])
+def test_gentle_waves_are_no_folds(steepest):
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        scenes = iter([from_above(waved(rng, steepest), View(), rng.uniform(0, 360))])
+        shape = in_space(next(noisy_depth(scenes, View(), seed)))
+        assert shape.ok, shape.reason
+        assert shape.valid.all()
+        assert shape.quality > 0.8
 
 
 def test_epochs_take_the_points_nearer_to_cluster_centres():

@@ -54,12 +54,15 @@ class View:
 
     height: int = 480  # rows of the image, in the aspect of 640 x 480
     wall: bool = True  # whether a wall behind the object returns depth
+    focal: float = 386.0  # pixels of 640 x 480; a D455's by default
 
     @property
     def intrinsics(self) -> Intrinsics:
-        """A D455's at this size."""
+        """The projection at this size."""
         scale = self.height / 480
-        return Intrinsics(4 * self.height // 3, self.height, 386 * scale, 386 * scale, 320 * scale, 240 * scale)
+        return Intrinsics(
+            4 * self.height // 3, self.height, self.focal * scale, self.focal * scale, 320 * scale, 240 * scale
+        )
 
 
 def cloth(aspect: float) -> Array:
@@ -113,7 +116,7 @@ def under_hand(
         spot, beyond = camera.project(pose.at(np.stack([target, target + 0.1 * way])[None], time)[0])
         ahead = (beyond - spot) / np.linalg.norm(beyond - spot)
         tip = spot + ahead * (width - deep * share if share >= 0 else 2 * width)
-        yield _seen(pose.at(flat, time), closed, view, (tip, ahead, width))
+        yield seen(pose.at(flat, time), closed, view, (tip, ahead, width))
 
 
 def in_space(
@@ -131,7 +134,7 @@ def in_space(
     """
     pose = _Pose(rng, flat, np.radians(60 if motion == "tilted" else 25), 0.12, motion)
     for time in pose.times(view, speed, frames):
-        yield _seen(pose.at(flat, time), len(flat) == _BAND[0], view, None)
+        yield seen(pose.at(flat, time), len(flat) == _BAND[0], view, None)
 
 
 def noisy_depth(scenes: Iterator[FlatScene], view: View, seed: int) -> Iterator[FlatScene]:
@@ -200,7 +203,7 @@ def rolled(flat: Array, way: Array, begin: float, radius: float, most: float) ->
     return np.concatenate([moved, -up[..., None]], axis=-1)
 
 
-def _seen(space: Array, closed: bool, view: View, hand: tuple[Array, Array, float] | None) -> FlatScene:
+def seen(space: Array, closed: bool, view: View, hand: tuple[Array, Array, float] | None) -> FlatScene:
     """Draw a frame of a grid, whose last column joins the first if it is closed; a hand is its tip, way and width."""
     camera, shape = view.intrinsics, space.shape[:2]
     flat = np.ascontiguousarray(space.reshape(-1, 3))
