@@ -32,7 +32,6 @@ from shape_obs.geometry.lattice import (
     flattened,
     lattice_gauges,
     sample_lattice,
-    uneven_places,
 )
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.topology import Grid, fill_lattice, undo_shrinkage
@@ -117,10 +116,10 @@ class Surface(Configuration, kind="surface"):
         if prediction is None:
             form = self.apply_index_order(found.form, observed.seen(found.form.points, target), target)
             found = found._replace(form=form, nodes=form.points)
-        return self._judge_relief(found, observed, scene)
+        return self._judge_relief(found, observed, prediction is not None, scene)
 
-    def _judge_relief(self, found: Fit, observed: Observed, scene: Scene) -> Fit:
-        """Refuse a sheet whose relief shows that it is not laid out; put single nodes in doubt."""
+    def _judge_relief(self, found: Fit, observed: Observed, tracked: bool, scene: Scene) -> Fit:
+        """Put what the relief shows not to be laid out in doubt, a sheet or single nodes; refuse a new sheet."""
         form, size = found.form, (self.rows, self.cols)
         if scene.intrinsics is not None and scene.depth is not None:
             lattice = form.points if observed.dimension == 2 else scene.intrinsics.project(form.points)
@@ -130,9 +129,10 @@ class Surface(Configuration, kind="surface"):
             relief = Relief.in_space(form.points, size)
         else:
             return found
-        reason, share = relief.verdict()
-        form = replace(form, interpolated=form.interpolated | relief.doubtful, off=relief.off)
-        laid = None if relief.off.any() else found.laid
+        doubt, share = relief.verdict()
+        flags = form.interpolated | relief.doubtful
+        form = replace(form, interpolated=flags, off=relief.off, ambiguity=doubt)
+        reason, laid = "" if tracked else doubt, None if relief.off.any() else found.laid
         return found._replace(form=form, quality=found.quality * share, reason=reason, laid=laid)
 
     def _track(self, view: SheetView, prediction: Prediction, scene: Scene) -> Fit:
@@ -290,13 +290,10 @@ class Surface(Configuration, kind="surface"):
         """Return points with equal gaps down and across, on the mean over the lattice."""
         where = *metric.gauges, self.rows, self.cols, self.ends != "tips"
         places = sample_lattice(form.points.reshape(form.rows, -1, form.points.shape[1]), *where)
-        lattice = metric.points.reshape(metric.rows, -1, metric.points.shape[1])
         hidden = np.zeros(len(places), bool)
         if form.interpolated.any():
             share = form.interpolated.reshape(form.rows, -1, 1).astype(np.float64)
             hidden = sample_lattice(share, *where)[:, 0] > 0.5
-        if lattice.shape[2] == 3 and form.points.shape[1] == 2:
-            hidden |= uneven_places(sample_lattice(lattice, *where).reshape(self.rows, self.cols, 3))
         off = None if form.off is None else sample_lattice(form.off.reshape(form.rows, -1, 1), *where)[:, 0]
         return Points(places, hidden, off=off)
 
@@ -304,7 +301,7 @@ class Surface(Configuration, kind="surface"):
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
         maps = (batch_epochs, gather_cells, undo_shrinkage) if self.epochs else ()
-        return SHEET_FUNCTIONS + RELIEF_FUNCTIONS + (sheet_points, uneven_places, blend_sides, fill_lattice) + maps
+        return SHEET_FUNCTIONS + RELIEF_FUNCTIONS + (sheet_points, blend_sides, fill_lattice) + maps
 
 
 def _corners(nodes: Array) -> Array:

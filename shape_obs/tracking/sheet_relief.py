@@ -42,7 +42,7 @@ _STEEPER: Final = 0.45
 # Shares that noise and waves explain, and shares from which a sheet is refused. Of 130 simulated cloths that were
 # dropped, dragged and folded, all with less had points within half a cell; of 120 gently waved ones none has more.
 _IDEAL: Final = 0.03
-_MAX_SHORT: Final = 0.2
+_MAX_SHORT: Final = 0.18
 _MAX_LONG: Final = 0.3
 _IDEAL_TORN: Final = 0.25
 _MAX_TORN: Final = 0.4

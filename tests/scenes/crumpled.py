@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final, Literal
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import RectBivariateSpline
 
 from shape_obs.bench.scenes import rotation
+from shape_obs_envs.mujoco.scene import mujoco
 from tests.scenes.flat_objects import FlatScene, View, seen
 
 Array = npt.NDArray[np.float64]
