@@ -14,13 +14,15 @@ from shape_obs.configurations.points_in_image import lift_points
 from shape_obs.frame import Frame
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.lattice import FittedLattice
+from shape_obs.geometry.topology import Grid
 from shape_obs.point_cloud.lifting import form_depth, lift_form
 from shape_obs.point_cloud.local_depth import median_depth
 from shape_obs.shape import Shape
-from shape_obs.tracking.belief import expected_error, point_errors, stereo_noise
+from shape_obs.tracking.belief import error_on_sheet, expected_error, point_errors, stereo_noise
 from shape_obs.tracking.missing import OnInvalid, fill_invalid
 from shape_obs.tracking.occlusion import shown
 from shape_obs.tracking.prediction import Fit
+from shape_obs.tracking.validation import validate_gaps
 
 if TYPE_CHECKING:
     from shape_obs.image.region import Region
@@ -63,7 +65,7 @@ def shape_of(
             in_image=in_image, camera=camera, diagonal=diagonal, off=off,
         )  # fmt: skip
     known = int(np.count_nonzero(valid))
-    reason = _doubt(found, points2d, points3d is not None, known)
+    reason = _doubt(spec, found, points2d, points3d, valid if known else None, camera)
     if points3d is not None and known < len(valid):
         points3d = fill_invalid(points3d, valid, None if last is None else last.points3d, policy)
     quality = found.quality * (known / len(valid))
@@ -74,13 +76,28 @@ def shape_of(
     )  # fmt: skip
 
 
-def _doubt(found: Fit, points2d: npt.NDArray[np.float32] | None, in_space: bool, known: int) -> str:
+def _doubt(
+    spec: Configuration,
+    found: Fit,
+    points2d: npt.NDArray[np.float32] | None,
+    points3d: npt.NDArray[np.float32] | None,
+    valid: Mask | None,
+    camera: Intrinsics | None,
+) -> str:
     """Return why points cannot be right though their form was found; empty if they can."""
     if points2d is not None and np.count_nonzero(np.isfinite(points2d)) < points2d.size:
         return "it runs out of the camera's sight"
-    if in_space and not known:
+    if points3d is None:
+        return ""
+    if valid is None:
         return "no point has depth under it"
-    return found.form.ambiguity if isinstance(found.form, FittedLattice) else ""  # a rope may begin again
+    if isinstance(found.form, FittedLattice) and found.form.ambiguity:  # a rope may begin again
+        return found.form.ambiguity
+    equal = spec.spacing == "m" and found.observed.dimension == 2 and found.centres is None
+    if camera is None or not equal or not isinstance(spec.layout, Grid):
+        return ""
+    error = error_on_sheet(float(points3d[valid, 2].mean()), camera)
+    return validate_gaps(points3d.astype(np.float64), valid, spec.layout, error)
 
 
 # Pixels, points in space (those that were not seen where the form puts them), visible, valid, ``Points.off``.

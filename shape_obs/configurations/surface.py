@@ -32,6 +32,7 @@ from shape_obs.geometry.lattice import (
     flattened,
     lattice_gauges,
     sample_lattice,
+    uneven_places,
 )
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.topology import Grid, fill_lattice, undo_shrinkage
@@ -290,10 +291,13 @@ class Surface(Configuration, kind="surface"):
         """Return points with equal gaps down and across, on the mean over the lattice."""
         where = *metric.gauges, self.rows, self.cols, self.ends != "tips"
         places = sample_lattice(form.points.reshape(form.rows, -1, form.points.shape[1]), *where)
+        lattice = metric.points.reshape(metric.rows, -1, metric.points.shape[1])
         hidden = np.zeros(len(places), bool)
         if form.interpolated.any():
             share = form.interpolated.reshape(form.rows, -1, 1).astype(np.float64)
             hidden = sample_lattice(share, *where)[:, 0] > 0.5
+        if lattice.shape[2] == 3 and form.points.shape[1] == 2:
+            hidden |= uneven_places(sample_lattice(lattice, *where).reshape(self.rows, self.cols, 3))
         off = None if form.off is None else sample_lattice(form.off.reshape(form.rows, -1, 1), *where)[:, 0]
         return Points(places, hidden, off=off)
 
@@ -301,7 +305,7 @@ class Surface(Configuration, kind="surface"):
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
         maps = (batch_epochs, gather_cells, undo_shrinkage) if self.epochs else ()
-        return SHEET_FUNCTIONS + RELIEF_FUNCTIONS + (sheet_points, blend_sides, fill_lattice) + maps
+        return SHEET_FUNCTIONS + RELIEF_FUNCTIONS + (sheet_points, uneven_places, blend_sides, fill_lattice) + maps
 
 
 def _corners(nodes: Array) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,11 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+
+
+# A gap of a sheet in space may differ from the others by this share, and by so many times what they differ.
+_UNEVEN: Final = 0.09
+_OFTEN: Final = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,6 +146,59 @@ def sample_lattice(lattice: Array, down: Array, right: Array, rows: int, cols: i
     columns = transposed(found.reshape(rows, across, dimension)).reshape(across, rows * dimension)
     found = even_points(columns, right, cols, centers)
     return transposed(found.reshape(cols, rows, dimension)).reshape(rows * cols, dimension)
+
+
+@compiled("(f8[:,:,::1],)")
+def uneven_places(lattice: Array) -> Mask:
+    """Return which points of a lattice with equal gaps have gaps that differ, and their neighbours, ``(R*C,)`` bool.
+
+    A sheet does not stretch. Where a gap differs from the median down or across by more than the others do, the sheet
+    is folded or crumpled there.
+
+    Args:
+        lattice: ``(R, C, D)``, at least two rows and columns.
+    """
+    rows, cols, dimension = lattice.shape
+    across, down = np.empty((rows, cols - 1)), np.empty((rows - 1, cols))
+    for r in range(rows):
+        for c in range(cols):
+            right = below = 0.0
+            for d in range(dimension):
+                if c < cols - 1:
+                    right += (lattice[r, c + 1, d] - lattice[r, c, d]) ** 2
+                if r < rows - 1:
+                    below += (lattice[r + 1, c, d] - lattice[r, c, d]) ** 2
+            if c < cols - 1:
+                across[r, c] = math.sqrt(right)
+            if r < rows - 1:
+                down[r, c] = math.sqrt(below)
+    widths, heights = max(np.median(across), 1e-12), max(np.median(down), 1e-12)
+    for r in range(rows):
+        for c in range(cols):
+            if c < cols - 1:
+                across[r, c] = abs(across[r, c] / widths - 1)
+            if r < rows - 1:
+                down[r, c] = abs(down[r, c] / heights - 1)
+    limit = max(_UNEVEN, _OFTEN * max(np.median(across), np.median(down)))
+    out = np.zeros((rows, cols), np.bool_)
+    for r in range(rows):
+        for c in range(cols):
+            if c < cols - 1 and across[r, c] > limit:
+                _mark(out, r, c)
+                _mark(out, r, c + 1)
+            if r < rows - 1 and down[r, c] > limit:
+                _mark(out, r, c)
+                _mark(out, r + 1, c)
+    return out.reshape(rows * cols)
+
+
+@compiled
+def _mark(out: Mask, row: int, col: int) -> None:
+    """Mark a place of a lattice and its four neighbours."""
+    rows, cols = out.shape
+    out[row, col] = True
+    out[max(row - 1, 0), col] = out[min(row + 1, rows - 1), col] = True
+    out[row, max(col - 1, 0)] = out[row, min(col + 1, cols - 1)] = True
 
 
 @compiled

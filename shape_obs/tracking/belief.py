@@ -118,6 +118,12 @@ def expected_error(
     return fitted if off is None else _bounded(np.hypot(fitted, off / math.sqrt(3)), bound)
 
 
+def error_on_sheet(z: float, camera: Intrinsics) -> float:
+    """Return the RMS error per axis of a visible point of a sheet that lies flat at a depth ``z``, metres."""
+    shares, focal = _SHARES[Grid], (camera.fx + camera.fy) / 2
+    return math.hypot(shares.resolution * z / focal, shares.depth * stereo_noise(focal, camera.width) * z**2)
+
+
 @lru_cache(maxsize=64)
 def known_layout(layout: Topology) -> tuple[npt.NDArray[np.int64], int, Shares]:
     """Return ``(E, 2)`` neighbours, how many lie along the rows of a lattice, and what errors in images are made of."""
