@@ -30,6 +30,7 @@ Place = tuple[int, int]
 
 _LAST: Final = FINE - 1
 _MEASURED: Final = 0.8  # of the nodes of a line have depth, so that its length is known
+_SMEARED: Final = 3.0  # pixels from the border in which depth may be that of what lies behind
 _SAMPLES: Final = 6  # of depth from a node of a line to the next, at most
 # A step from one sample to the next: metres, two layers of a towel; the slope of a crease; and how often the median
 # over all gaps, which is noise.
@@ -43,7 +44,7 @@ _STEEPER: Final = 0.45
 # dropped, dragged and folded, all with less had points within half a cell; of 120 gently waved ones none has more.
 _IDEAL: Final = 0.03
 _MAX_SHORT: Final = 0.18
-_MAX_LONG: Final = 0.3
+_MAX_LONG: Final = 0.5
 _IDEAL_TORN: Final = 0.25
 _MAX_TORN: Final = 0.4
 _IDEAL_TURNED: Final = 0.2
@@ -192,6 +193,7 @@ def _look(
     """Return the fields of ``Relief``; steps are looked for along every other line of the lattice."""
     space, focal, torn, turned, spacing = viewing_rays(lattice, lens), (lens[0] + lens[1]) / 2, 0.0, 0.0, 0.0
     steps, begins = np.zeros((2, FINE // 2, FINE)), np.empty(FINE, np.int64)
+    trends = np.zeros((2, FINE // 2, FINE))
     for p in range(len(lattice)):
         z = np.nan if hidden[p] else _depth_at(lattice[p, 0], lattice[p, 1], depth, unit, mask, at)
         for d in range(3):
@@ -203,23 +205,28 @@ def _look(
             nodes = np.arange(first, first + FINE * step, step)
             along = _profile(lattice, hidden, depth, unit, mask, at, nodes, begins)
             last, wide = begins[_LAST], lattice[nodes[_LAST]] - lattice[nodes[0]]
-            angle = math.hypot(wide[0], wide[1]) / (last * focal)
+            pixels = math.hypot(wide[0], wide[1])
+            angle, margin = pixels / (last * focal), math.ceil(_SMEARED * last / max(pixels, 1.0))
             middle = along[begins[FINE // 2]] * angle
             spacing = max(spacing, middle if math.isfinite(middle) else 0.0)
             for k in range(1, _LAST - 1):
                 trend = (along[begins[k + 2]] - along[begins[k - 1]]) / (begins[k + 2] - begins[k - 1])
-                for j in range(begins[k], begins[k + 1]):
-                    rise = abs(along[j + 1] - along[j] - (trend if math.isfinite(trend) else 0.0))
+                trend = trend if math.isfinite(trend) else 0.0
+                trends[down, i, k] = abs(trend)
+                for j in range(max(begins[k], margin), min(begins[k + 1], last - margin)):
+                    rise = abs(along[j + 1] - along[j] - trend)
                     if rise > steps[down, i, k]:
                         steps[down, i, k] = rise
             away[0] += _turns_away(along, begins[1], begins[3], angle)
             away[1] += _turns_away(along[::-1], last - begins[_LAST - 1], last - begins[_LAST - 3], angle)
         turned = max(turned, away.max() / (FINE // 2))
-    limit = max(_STEP, _STEP_NOISE * np.median(steps[:, :, 1 : _LAST - 1]), _STEP_SLOPE * spacing)
+    # A sample is read up to half a pixel beside its place: on a slope that is a step too.
+    slope = max(np.median(trends[0, :, 1 : _LAST - 1]), np.median(trends[1, :, 1 : _LAST - 1]))
+    limit = max(_STEP, _STEP_NOISE * np.median(steps[:, :, 1 : _LAST - 1]), _STEP_SLOPE * spacing) + slope
     for down in range(2):
         lines = 0
         for i in range(FINE // 2):
-            lines += steps[down, i].max() > limit
+            lines += (steps[down, i] - trends[down, i]).max() > limit
         torn = max(torn, lines / (FINE // 2))
     off, gap, short, long = _compare_ways(space, rows, cols)
     return off, gap, short, long, torn, turned
