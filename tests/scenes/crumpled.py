@@ -10,7 +10,6 @@ import numpy.typing as npt
 from scipy.interpolate import RectBivariateSpline
 
 from shape_obs.bench.scenes import rotation
-from shape_obs_envs.mujoco.scene import mujoco
 from tests.scenes.flat_objects import FlatScene, View, seen
 
 Array = npt.NDArray[np.float64]
@@ -40,6 +39,9 @@ class _Cloth:
     """A cloth on a table, and hands that move its vertices."""
 
     def __init__(self, rng: np.random.Generator) -> None:
+        from shape_obs_envs.mujoco.scene import mujoco
+
+        self._step = mujoco.mj_step
         thick = 10 ** rng.uniform(-3.2, -2.4)  # metres: how far it resists bending
         stretch = rng.uniform(300, 1200)  # N/m
         drawn = {"friction": rng.uniform(0.3, 1), "mass": rng.uniform(0.04, 0.12), "radius": rng.uniform(0.0025, 0.004)}
@@ -65,7 +67,7 @@ class _Cloth:
                 goal = begin[at] * (1 - share) + target * share
                 force = 60 * (goal - data.flexvert_xpos[at[0] * COUNT + at[1]]) - 0.3 * data.cvel[body, 3:]
                 data.xfrc_applied[body, :3] = np.clip(force, -4, 4)
-            mujoco.mj_step(model, data)
+            self._step(model, data)
         data.xfrc_applied[:] = 0
 
 
