@@ -40,8 +40,9 @@ _STEP_NOISE: Final = 4.0
 # Radians: a surface that is so steep at its border, and so much steeper than an eighth of a side farther in.
 _STEEP: Final = 0.7
 _STEEPER: Final = 0.45
-# Shares that noise and waves explain, and shares from which a sheet is refused. Of 130 simulated cloths that were
-# dropped, dragged and folded, all with less had points within half a cell; of 120 gently waved ones none has more.
+# Shares that noise and waves explain, and shares from which a sheet is refused. Of 170 simulated cloths that were
+# dropped, dragged and folded, all with less lay within half a cell of their material on average; of 60 in waves none
+# has more (``tests.benchmarks sheets.laid``).
 _IDEAL: Final = 0.03
 _MAX_SHORT: Final = 0.18
 _MAX_LONG: Final = 0.5
@@ -61,7 +62,7 @@ class Relief(NamedTuple):
         gap: Between two of the points that are asked for, metres.
         short: By which share of the median the shortest row or column is shorter along the surface.
         long: The same of the longest.
-        torn: Over which share of the rows, or of the columns, depth steps from one pixel to the next.
+        torn: Over which share of the rows, or of the columns, depth steps within the sheet.
         turned: Over which share of a side the surface turns away from the camera.
     """
 
