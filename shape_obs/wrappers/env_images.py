@@ -60,11 +60,13 @@ class Image:
             KeyError: The observation lacks a key.
             ValueError: The image has another shape, type or range than its space.
         """
-        given = observation
-        for key in self.path:
-            if isinstance(given, Mapping) and key not in given:
-                raise KeyError(f"the observation has no {key!r}, but its space does; keys: {sorted(given)}.")
-            given = given[key]
+        given, key = observation, None
+        try:
+            for key in self.path:
+                given = given[key]
+        except (KeyError, IndexError, TypeError) as error:
+            got = f"keys: {sorted(given)}" if isinstance(given, Mapping) else f"it is a {type(given).__name__}"
+            raise KeyError(f"the observation has no {key!r}, but its space does; {got}.") from error
         image, (shape, dtype) = plain_array(given, _where(self.path), masked), (self.space.shape, self.space.dtype)
         assert dtype is not None
         floats = dtype.kind == "f" and isinstance(image, np.ndarray) and image.dtype.kind == "f"

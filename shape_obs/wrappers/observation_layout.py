@@ -49,7 +49,8 @@ class ObservationLayout:
     """
 
     def __init__(self, source: spaces.Space[Any], keep: Sequence[str], vector: Bounded, goal: Bounded | None) -> None:
-        self._kept = kept = _kept_spaces(source, keep, privileged=GOALS if goal is not None else ())
+        kept = _kept_spaces(source, keep, privileged=GOALS if goal is not None else ())
+        self._kept = spaces.Dict(dict(kept))
         self._joined = [key for key, space in kept.items() if goal is not None and _is_vector(space)]
         self._separate = [key for key in kept if key not in self._joined]
         low, high = [np.asarray(vector.low, np.float32)], [np.asarray(vector.high, np.float32)]
@@ -83,24 +84,28 @@ class ObservationLayout:
         """
         if self._name is None:
             return values
-        kept = {key: _checked(source, key, space) for key, space in self._kept.items()}
+        kept = _checked(source, self._kept, "observation")
         joined = np.concatenate([values, *(np.asarray(kept[key], np.float32) for key in self._joined)])
         separate = {key: deepcopy(kept[key]) for key in self._separate}
         return {self._name: joined, **dict(zip(GOALS, goals, strict=False)), **separate}
 
 
-def _checked(source: Any, key: str, space: spaces.Space[Any]) -> Any:
-    """Return what an env's observation has under a key."""
-    if key not in source:
-        raise KeyError(f"the observation has no {key!r}, but its space does; keys: {sorted(source)}.")
-    value = source[key]
-    if isinstance(space, spaces.Box):
+def _checked(value: Any, space: spaces.Space[Any], where: str) -> Any:
+    """Return a kept value; bounds are left to the env, which may exceed them by rounding."""
+    if isinstance(space, spaces.Dict):
+        for key, part in space.spaces.items():
+            if key not in value:
+                raise KeyError(f"{where} has no {key!r}, but its space does; keys: {sorted(value)}.")
+            _checked(value[key], part, f"{where}[{key!r}]")
+    elif isinstance(space, spaces.Box):
         floats = space.dtype is not None and space.dtype.kind == "f"
         if np.shape(value) != space.shape or (floats and np.isnan(value).any()):
             raise ValueError(
-                f"keep: the env's observation_space promises {key!r} as finite numbers of shape {space.shape}, the env "
+                f"keep: the env's observation_space promises {where} as finite numbers of shape {space.shape}, the env "
                 f"gave shape {np.shape(value)}{', NaN among them' if np.shape(value) == space.shape else ''}."
             )
+    elif not space.contains(value):
+        raise ValueError(f"keep: the env's observation_space promises {where} in {space}, the env gave {value!r:.100}.")
     return value
 
 

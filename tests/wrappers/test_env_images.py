@@ -128,15 +128,32 @@ def test_a_depth_that_is_no_image_is_a_number_of_the_env():
         ({"rgb": lambda rgb: np.ma.masked_equal(rgb, 30)}, "mask"),
         ({"depth": lambda z: (1000 * z).astype(np.uint16)}, "promises"),
         ({"depth": lambda z: z[:60]}, "promises"),
-        ({"hand": lambda hand: hand[:2]}, "promises 'hand'"),
+        ({"hand": lambda hand: hand[:2]}, "promises observation.'hand'"),
+        ({"phase": str}, "promises observation.'phase'. in Discrete"),
         ({"hand": lambda hand: hand * np.nan}, "NaN"),
     ],
 )
 def test_an_observation_that_breaks_the_promise_of_its_space_is_refused(change, hint):
     take = lambda seen: {key: change.get(key, lambda value: value)(value) for key, value in seen.items()}  # noqa: E731
-    env = wrapped(changed(take, RopeEnv().observation_space), keep=["hand"], features=["points2d_normalized"])
+    env = wrapped(
+        changed(take, RopeEnv().observation_space), keep=["hand", "phase", "deep"], features=["points2d_normalized"]
+    )
     with pytest.raises(ValueError, match=hint):
         next(walk(env))
+
+
+@pytest.mark.parametrize(
+    ("take", "message"),
+    [
+        (lambda seen: (seen, {}), "it is a tuple"),
+        (lambda seen: None, "it is a NoneType"),
+        (lambda seen: {**seen, "deep": {}}, "has no 'row', but its space does"),
+    ],
+)
+def test_what_an_observation_lacks_is_named(take, message):
+    env = wrapped(changed(take, RopeEnv().observation_space), keep=["deep"])
+    with pytest.raises(KeyError, match=message):
+        env.reset(seed=0)
 
 
 @pytest.mark.parametrize(("high", "factor"), [(1, 255), (255, 1 / 255)])
