@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from pathlib import Path
 
@@ -40,6 +41,7 @@ class Unplugged(FakeCamera):
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())  # as the command does, so that the camera is released
     rule = {"kind": "hsv", "low": [100, 120, 40], "high": [130, 255, 255]}
     engine = Engine(Unplugged(Path(sys.argv[1])), Session({"segmentation": rule}), patience=1.0)
     with Address(port=0).bind() as listening:
