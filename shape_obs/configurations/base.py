@@ -97,7 +97,7 @@ class Points(NamedTuple):
         nearest: ``(N,)`` which of the form's own points is nearest along it, where it may cross itself; else None.
         relief: ``(N,)`` the form's relief there, see ``FittedCurve.relief``; None if it has none.
         steep: ``(N,)`` how much longer the form is there in space than in the image; None if it has no relief.
-        off: ``(N,)`` metres by which a sheet's relief shows that points may be off their material; None without it.
+        off: ``(N,)`` metres by which points of a sheet may be off their material, see ``Isometry``; None without it.
     """
 
     places: Array

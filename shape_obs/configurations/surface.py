@@ -40,8 +40,8 @@ from shape_obs.image.connected_runs import gather_cells
 from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Indices, Rim
 from shape_obs.tracking.corner_matching import STRAYED, match_corners
+from shape_obs.tracking.isometry import ISOMETRY_FUNCTIONS, Isometry
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
-from shape_obs.tracking.sheet_relief import RELIEF_FUNCTIONS, Relief
 from shape_obs.tracking.sheet_view import KnownSheet, SheetView, doubtful_places
 from shape_obs.tracking.validation import MAX_HIDDEN, FitQuality, validate_sheet
 
@@ -117,24 +117,24 @@ class Surface(Configuration, kind="surface"):
         if prediction is None:
             form = self.apply_index_order(found.form, observed.seen(found.form.points, target), target)
             found = found._replace(form=form, nodes=form.points)
-        return self._judge_relief(found, observed, prediction is not None, scene)
+        return self._judge_isometry(found, observed, prediction is not None, scene)
 
-    def _judge_relief(self, found: Fit, observed: Observed, tracked: bool, scene: Scene) -> Fit:
-        """Put what the relief shows not to be laid out in doubt, a sheet or single nodes; refuse a new sheet."""
+    def _judge_isometry(self, found: Fit, observed: Observed, tracked: bool, scene: Scene) -> Fit:
+        """Mark what is folded or crumpled, a sheet or single nodes, as uncertain; refuse a new sheet."""
         form, size = found.form, (self.rows, self.cols)
         if scene.intrinsics is not None and scene.depth is not None:
             lattice = form.points if observed.dimension == 2 else scene.intrinsics.project(form.points)
             region = observed.parts[-1]  # of a cloud too: the mask that it was seen in
-            relief = Relief.in_image(lattice, form.interpolated, region, scene.images, scene.intrinsics, size)
+            isometry = Isometry.in_image(lattice, form.interpolated, region, scene.images, scene.intrinsics, size)
         elif observed.dimension == 3:
-            relief = Relief.in_space(form.points, size)
+            isometry = Isometry.in_space(form.points, size)
         else:
             return found
-        doubt, share = relief.verdict()
-        flags = form.interpolated | relief.doubtful
-        form = replace(form, interpolated=flags, off=relief.off, ambiguity=doubt)
-        reason, laid = "" if tracked else doubt, None if relief.off.any() else found.laid
-        return found._replace(form=form, quality=found.quality * share, reason=reason, laid=laid)
+        uncertain, share = isometry.verdict()
+        flags = form.interpolated | isometry.uncertain
+        form = replace(form, interpolated=flags, off=isometry.off, ambiguity=uncertain)
+        found = found._replace(form=form, quality=found.quality * share, reason="" if tracked else uncertain)
+        return found._replace(laid=None) if isometry.off.any() else found
 
     def _track(self, view: SheetView, prediction: Prediction, scene: Scene) -> Fit:
         """Fit a sheet in an image: as a whole if nothing hides its border, else with its border put back."""
@@ -305,7 +305,7 @@ class Surface(Configuration, kind="surface"):
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
         maps = (batch_epochs, gather_cells, undo_shrinkage) if self.epochs else ()
-        return SHEET_FUNCTIONS + RELIEF_FUNCTIONS + (sheet_points, uneven_places, blend_sides, fill_lattice) + maps
+        return SHEET_FUNCTIONS + ISOMETRY_FUNCTIONS + (sheet_points, uneven_places, blend_sides, fill_lattice) + maps
 
 
 def _corners(nodes: Array) -> Array:

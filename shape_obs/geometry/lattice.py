@@ -33,7 +33,7 @@ class FittedLattice(FittedForm):
     Args:
         gauges: How far down each row lies, ``(rows,)``, and how far right each column, ``(cols,)``: summed mean gaps.
         rows: How many rows, from the sheet's top to its bottom; the columns follow, from left to right.
-        off: ``(P,)`` metres by which points may be off their material, see ``Relief``; None if nothing shows it.
+        off: ``(P,)`` metres by which points may be off their material, see ``Isometry``; None if nothing shows it.
     """
 
     gauges: tuple[Array, Array]

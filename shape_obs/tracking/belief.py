@@ -97,7 +97,7 @@ def expected_error(
         in_image: Whether it was fitted in an image.
         camera: The projection; None if there is none.
         diagonal: Of the image, pixels: the bound of errors in pixels.
-        off: ``(N,)`` metres by which a sheet's relief shows that points may be off within it; None without depth.
+        off: ``(N,)`` metres by which points of a sheet may be off within it, see ``Isometry``; None without depth.
 
     Returns:
         ``(N,)`` float32, metres or, without ``points3d``, pixels; finite, at most the bound, which also stands where a

@@ -182,7 +182,7 @@ CLAIMS: Final = (
         for name, noise in (("exact", False), ("noisy", True))
     ),
     Claim(
-        "sheets.laid", "Square cloths of 50 cm from above, crumpled (dropped, dragged, folded) and gently waved, cold.",
+        "sheets.crumpled", "Square cloths from above, crumpled (dropped, dragged, folded) and gently waved, cold.",
         cloths_from_above, judge_laid, ("kind", "view"),
         {"detections": len, "ok [%]": percent("ok"), "of these off by half a cell [%]": _beyond("off", 0.5),
          "a valid point off by a cell [%]": _beyond("valid_off", 1.0), "worst [cells]": of(worst, "off"),

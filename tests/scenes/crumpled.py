@@ -1,4 +1,4 @@
-"""Simulate cloths that are not laid out: dropped, dragged, folded, a corner pushed beneath; every point is known."""
+"""Simulate cloths that are not spread out: dropped, dragged, folded, a corner pushed beneath; every point is known."""
 
 from __future__ import annotations
 

@@ -97,7 +97,7 @@ def open_source(
 
 
 def _is_of_ros(path: Path) -> bool:
-    """Return whether ROS recorded a .db3 or .bag file, and not librealsense, which stores a version of its own."""
+    """Return whether ROS recorded a .db3 or .bag file, and not librealsense, which stores its own version."""
     try:
         if path.suffix.lower() == ".db3":
             with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:

@@ -1,6 +1,7 @@
-"""The relief of a sheet: what depth shows of one that is folded or crumpled, and not laid out.
+"""The isometry of a sheet: whether depth shows that it is folded or crumpled.
 
-A sheet does not stretch: if it is laid out, all of its rows are equally long along the surface, and all of its columns.
+A sheet does not stretch: if it is spread out, all of its rows are equally long along the surface, and so are its
+columns.
 A fold makes those shorter that skip what it hides. Where a piece lies over another, its edge is a step in depth, and
 where the sheet goes on beneath itself, its surface turns away from the camera before it ends.
 """
@@ -42,7 +43,7 @@ _STEEP: Final = 0.7
 _STEEPER: Final = 0.45
 # Shares that noise and waves explain, and shares from which a sheet is refused. Of 170 simulated cloths that were
 # dropped, dragged and folded, all with less lay within half a cell of their material on average; of 60 in waves none
-# has more (``tests.benchmarks sheets.laid``).
+# has more (``tests.benchmarks sheets.crumpled``).
 _IDEAL: Final = 0.03
 _MAX_SHORT: Final = 0.18
 _MAX_LONG: Final = 0.5
@@ -51,10 +52,10 @@ _MAX_TORN: Final = 0.4
 _IDEAL_TURNED: Final = 0.2
 _MAX_TURNED: Final = 0.25
 _NOISE: Final = 0.1  # of a gap: nodes that are off by less are not
-_DOUBTED: Final = 0.2  # of a gap, beyond that: nodes that are off by more are put in doubt
+_UNCERTAIN: Final = 0.2  # of a gap, beyond that: nodes that are off by more are uncertain
 
 
-class Relief(NamedTuple):
+class Isometry(NamedTuple):
     """What the depth under a lattice shows.
 
     Args:
@@ -76,8 +77,8 @@ class Relief(NamedTuple):
     @classmethod
     def in_image(
         cls, lattice: Array, hidden: Flags, region: Region, images: DepthImages, camera: Intrinsics, size: Place
-    ) -> Relief:
-        """Return the relief of a lattice of ``(625, 2)`` pixels.
+    ) -> Isometry:
+        """Return the isometry of a lattice of ``(625, 2)`` pixels.
 
         Args:
             lattice: Row by row.
@@ -87,20 +88,20 @@ class Relief(NamedTuple):
             camera: The projection.
             size: Rows and columns of the points that are asked for.
         """
-        return cls(*_see_relief(lattice, hidden, images, region.mask, region.window[:2], camera.lens, *size))
+        return cls(*_in_image(lattice, hidden, images, region.mask, region.window[:2], camera.lens, *size))
 
     @classmethod
-    def in_space(cls, lattice: Array, size: Place) -> Relief:
-        """Return the relief of a lattice of ``(625, 3)`` points on a surface of which there is no image."""
+    def in_space(cls, lattice: Array, size: Place) -> Isometry:
+        """Return the isometry of a lattice of ``(625, 3)`` points on a surface without an image."""
         return cls(*_compare_ways(np.ascontiguousarray(lattice), *size))
 
     @property
-    def doubtful(self) -> Flags:
+    def uncertain(self) -> Flags:
         """``(625,)`` nodes that may be off by too much of a gap."""
-        return self.off > _DOUBTED * self.gap
+        return self.off > _UNCERTAIN * self.gap
 
     def verdict(self) -> tuple[str, float]:
-        """Return why the sheet is not laid out, empty if it is, and how far that may be believed, 0...1."""
+        """Return why the sheet is not spread out, empty if it is, and how far that may be believed, 0...1."""
         beneath = "a part of the sheet is folded beneath"
         if self.short > _MAX_SHORT or self.long > _MAX_LONG:
             lengths = f"{-self.short:.0%} to {self.long:+.0%}, at most {-_MAX_SHORT:.0%} and {_MAX_LONG:+.0%}"
@@ -125,7 +126,7 @@ def _left(share: float, ideal: float, most: float) -> float:
 
 @compiled("(f8[:,::1], i8, i8)")
 def _compare_ways(space: Array, rows: int, cols: int) -> tuple[Array, float, float, float]:
-    """Return the first four fields of ``Relief``.
+    """Return the first four fields of ``Isometry``.
 
     Let w be the way along the surface from the begin of a row to node k of n, W' the row's whole length, and W the
     median of all rows. In the material no node lies farther from a side than the way to that side is long, so that node
@@ -138,7 +139,7 @@ def _compare_ways(space: Array, rows: int, cols: int) -> tuple[Array, float, flo
 
     Args:
         space: ``(625, 3)`` metres; NaN for nodes without depth.
-        rows: See ``Relief.in_image``.
+        rows: See ``Isometry.in_image``.
         cols: The same.
     """
     off, gap, short, long = np.zeros((FINE, FINE)), np.inf, 0.0, 0.0
@@ -177,10 +178,10 @@ def _compare_ways(space: Array, rows: int, cols: int) -> tuple[Array, float, flo
 
 
 @compiled("(f8[:,::1], b1[::1], " + DEPTH_TYPE + ", u1[:,::1], UniTuple(i8, 2), f8[::1], i8, i8)")
-def _see_relief(
+def _in_image(
     lattice: Array, hidden: Flags, depth: DepthImages, mask: Mask, at: Place, lens: Array, rows: int, cols: int
 ) -> tuple[Array, float, float, float, float, float]:
-    """Return the fields of ``Relief`` as ``Relief.in_image`` takes the lattice."""
+    """Return the fields of ``Isometry`` as ``Isometry.in_image`` takes the lattice."""
     if len(depth[0]) > 0:
         return _look(lattice, hidden, depth[0], MILLIMETRE, mask, at, lens, rows, cols)
     return _look(lattice, hidden, depth[1], 1.0, mask, at, lens, rows, cols)
@@ -191,7 +192,7 @@ def _look(
     lattice: Array, hidden: Flags, depth: npt.NDArray[Any], unit: float, mask: Mask, at: Place, lens: Array, rows: int,
     cols: int,
 ) -> tuple[Array, float, float, float, float, float]:  # fmt: skip
-    """Return the fields of ``Relief``; steps are looked for along every other line of the lattice."""
+    """Return the fields of ``Isometry``; steps are looked for along every other line of the lattice."""
     space, focal, torn, turned, spacing = viewing_rays(lattice, lens), (lens[0] + lens[1]) / 2, 0.0, 0.0, 0.0
     steps, begins = np.zeros((2, FINE // 2, FINE)), np.empty(FINE, np.int64)
     trends = np.zeros((2, FINE // 2, FINE))
@@ -221,7 +222,7 @@ def _look(
             away[0] += _turns_away(along, begins[1], begins[3], angle)
             away[1] += _turns_away(along[::-1], last - begins[_LAST - 1], last - begins[_LAST - 3], angle)
         turned = max(turned, away.max() / (FINE // 2))
-    # A sample is read up to half a pixel beside its place: on a slope that is a step too.
+    # A sample is read up to half a pixel from its place: on a slope that is a step too.
     slope = max(np.median(trends[0, :, 1 : _LAST - 1]), np.median(trends[1, :, 1 : _LAST - 1]))
     limit = max(_STEP, _STEP_NOISE * np.median(steps[:, :, 1 : _LAST - 1]), _STEP_SLOPE * spacing) + slope
     for down in range(2):
@@ -280,12 +281,12 @@ def _turns_away(z: Array, first: int, third: int, angle: float) -> bool:
         third: Where the fourth is.
         angle: Radians from place to place, as the camera sees them.
     """
-    rim = 0
-    while rim < first // 2 and math.isnan(z[rim]):
-        rim += 1
-    inner, place = min(rim + max(first // 2, 2), len(z) - 1), z[third] * angle  # metres from place to place
-    steep = math.atan((z[rim] - z[inner]) / (place * (inner - rim)))
+    border = 0
+    while border < first // 2 and math.isnan(z[border]):
+        border += 1
+    inner, place = min(border + max(first // 2, 2), len(z) - 1), z[third] * angle  # metres from place to place
+    steep = math.atan((z[border] - z[inner]) / (place * (inner - border)))
     return steep > _STEEP and steep - math.atan((z[first] - z[third]) / (place * (third - first))) > _STEEPER
 
 
-RELIEF_FUNCTIONS: Final = _see_relief, _compare_ways
+ISOMETRY_FUNCTIONS: Final = _in_image, _compare_ways
