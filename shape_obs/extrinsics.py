@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import CameraModel, Intrinsics, rigid_transform
+from shape_obs.camera import CameraLike, CameraModel, Intrinsics, as_intrinsics, rigid_transform
 from shape_obs.spec import Spec, SpecError
 from shape_obs.utils.documents import read_json
 from shape_obs.utils.files import write_text
@@ -135,11 +135,11 @@ class Extrinsics(Spec):
                 )
         return found
 
-    def camera(self, intrinsics: Intrinsics, serial: str | None = None) -> CameraModel:
+    def camera(self, intrinsics: CameraLike, serial: str | None = None) -> CameraModel:
         """Return the camera model of a stream.
 
         Args:
-            intrinsics: Intrinsics of the stream.
+            intrinsics: Intrinsics of the stream, in any form that ``as_camera_model`` reads.
             serial: Serial number of the camera; None if it has none.
 
         Warns:
@@ -147,6 +147,7 @@ class Extrinsics(Spec):
                 shown once for each stream.
         """
         made: dict[tuple[Intrinsics, str | None], CameraModel] = self.__dict__.setdefault("_made", {})
+        intrinsics = as_intrinsics(intrinsics)
         if (intrinsics, serial) not in made:
             for doubt in self.doubts(intrinsics, serial):
                 warnings.warn(doubt, ExtrinsicsWarning, stacklevel=2)

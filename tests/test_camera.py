@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from shape_obs import CameraModel, Intrinsics, ShapeDetector
 from shape_obs.calibration.hand_eye import marker_points
 from shape_obs.camera import DepthNoise, as_camera_model
+from shape_obs.extrinsics import Extrinsics
 from shape_obs.features import FeatureContext
 from shape_obs_envs.sources import WebcamSource
 from shape_obs_envs.sources.registration import Registration
@@ -142,6 +143,7 @@ def test_sources_calibration_and_features_take_them_too():
     lens = SimpleNamespace(**REALSENSE, model="distortion.none")
     assert WebcamSource("0", intrinsics=lens).lens == PINHOLE
     assert Registration(lens, lens, np.eye(3), (0.059, 0, 0)).output == PINHOLE
+    assert Extrinsics(T=tuple(map(tuple, np.eye(4).tolist()))).camera(lens).intrinsics == PINHOLE
     context = FeatureContext(640, 480, lens)  # type: ignore[arg-type]
     assert context.camera == CameraModel(PINHOLE)
     corners = np.array([(300.0, 200.0), (340.0, 200.0), (340.0, 240.0), (300.0, 240.0)])

@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final, Generic, Protocol, TypeVar
 
-from shape_obs.camera import CameraModel, Intrinsics
+from shape_obs.camera import CameraModel, Intrinsics, as_intrinsics
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
 from shape_obs.source import CameraLost, FrameTimeout, NotConnected, Source, SourceError, StaleFrame
@@ -131,7 +131,8 @@ class LiveSource(Source):
         patience: Seconds without a frame after which the camera counts as lost.
 
     Attributes:
-        lens: The intrinsics of every frame, without distortion, which ``open`` sets; None if unknown.
+        lens: The intrinsics of every frame, without distortion, which ``open`` sets, in any form that
+            ``as_camera_model`` reads; None if unknown.
         latency: Assumed time in seconds from the start of a frame's exposure to its arrival, for frames without
             ``exposed``; a subclass may set it in ``open``.
 
@@ -201,7 +202,7 @@ class LiveSource(Source):
     def intrinsics(self) -> Intrinsics | None:
         """The intrinsics of every frame, without distortion; None if unknown."""
         self.connected()
-        return self.lens
+        return None if self.lens is None else as_intrinsics(self.lens)
 
     @property
     def dropped(self) -> int:
