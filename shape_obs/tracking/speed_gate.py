@@ -151,8 +151,9 @@ class SpeedGate:
             return self._max_speed * seconds
         if focal <= 0:
             return self._max_speed * seconds * width
-        depth = math.inf if (deep := track.relief) is None else math.exp(float(np.median(deep)) / focal)
-        return self._max_speed * seconds * focal / depth if depth < math.inf else math.inf
+        if (deep := track.relief) is None:
+            return math.inf
+        return self._max_speed * seconds * focal / math.exp(deep.item(len(deep) // 2) / focal)  # as deep as its middle
 
     def _compared(self, nodes: Array, before: Array, seconds: float, view: View) -> tuple[float, float, float, str]:
         """Return how far nodes have moved and can have, in their unit, and this unit in pixels or metres, and which."""

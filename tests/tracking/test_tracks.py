@@ -267,6 +267,16 @@ def test_what_lies_out_of_reach_is_believed_after_five_frames(places, refused, t
     np.testing.assert_allclose(shapes[-1].pixels, shapes[0].pixels + (0, places[-1]), atol=1.0)
 
 
+@pytest.mark.parametrize("spec", [Centerline(), Contour(), Surface()])
+def test_an_object_of_any_kind_that_jumps_at_240_hertz_is_found_in_ten_frames(spec):
+    detector, mask = ShapeDetector(spec, dt=1 / 240), np.zeros((480, 640), np.uint8)
+    mask[40 : 64 if spec.kind == "centerline" else 140, 100:280] = 1
+    shapes = [detector.detect_mask(np.roll(mask, v, axis=0)).shapes[0] for v in [0] * 3 + [200] * 11]
+    assert all(shape.ok == (not shape.reason) for shape in shapes)
+    np.testing.assert_allclose(shapes[-1].pixels, shapes[0].pixels + (0, 200), atol=0.5)
+    assert (shapes[-1].reason, shapes[-1].track_id) == ("", 2)
+
+
 @pytest.mark.parametrize(("hertz", "speed", "frames"), [(240, 6, 36), (30, 4, 30), (15, 2, 24)])
 def test_a_beam_that_swings_fast_is_not_lost_in_plain_sight(hertz, speed, frames):
     """It hangs from the image's border; frames are dropped, and stamps are irregular. The limit is 5 widths per s."""
