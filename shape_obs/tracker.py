@@ -251,7 +251,7 @@ class Tracker:
             shape = shape_of(spec, found, moment.frame, last, config.on_invalid, diagonal)
             if not (reason := shape.reason):
                 self._last, self._seen_at = shape, clock.now
-                self._area = self._seen_area / max(float(np.mean(shape.visible)), 1e-9)
+                self._area = self._seen_area * len(shape) / max(np.count_nonzero(shape.visible), 1)
                 if spec.is_ribbon and moment.in_2d:
                     points = found.form.points[::2]  # every half a width, which is fine enough to cross
                     points = points if points.shape[1] == 2 else shape.pixels.astype(np.float64)
