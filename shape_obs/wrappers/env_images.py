@@ -69,6 +69,8 @@ class Image:
             raise KeyError(f"the observation has no {key!r}, but its space does; {got}.") from error
         image, (shape, dtype) = plain_array(given, _where(self.path), masked), (self.space.shape, self.space.dtype)
         assert dtype is not None
+        if isinstance(image, np.ndarray) and [n for n in image.shape if n > 1] == [n for n in shape if n > 1]:
+            image = image.reshape(shape)  # an axis of length 1 more or less changes nothing
         floats = dtype.kind == "f" and isinstance(image, np.ndarray) and image.dtype.kind == "f"
         if not isinstance(image, np.ndarray) or image.shape != shape or (image.dtype != dtype and not floats):
             came = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__

@@ -112,6 +112,11 @@ def test_images_in_a_tuple_have_numbers(keys):
     np.testing.assert_array_equal(env.reset(seed=0)[0], wrapped(features=["points3d"]).reset(seed=0)[0])
 
 
+def test_an_axis_of_length_one_may_be_missing_in_the_space():
+    env = wrapped(changed(lambda seen: {**seen, "rgb": seen["rgb"][None], "depth": seen["depth"][..., None]}, IMAGES))
+    assert env.reset(seed=0)[1]["shape/ok"]
+
+
 def test_a_depth_that_is_no_image_is_a_number_of_the_env():
     space = spaces.Dict({"rgb": RGB, "depth": spaces.Box(0, 1, (1,))})
     env = wrapped(changed(lambda seen: {"rgb": seen["rgb"], "depth": np.zeros(1, np.float32)}, space))
