@@ -28,7 +28,7 @@ _LONGEST: Final = 10  # frames in which an object in plain sight is refused, at 
 # Of the known size: what is smaller may be a piece of the object, and by how much that falls in each second after it
 # was seen last, where it is not known in metres: half of it may be hidden for long, but it may also be tilted.
 WHOLE: Final = 0.94
-_FALLING: Final = 0.1
+_FALLING: Final = 0.03
 LARGER: Final = 2.0  # times: what is so much larger is not the object
 
 
