@@ -44,16 +44,19 @@ def check_outputs(args: Any, *paths: Path | None, hint: str = "") -> None:
         keys.add(_key(path))
     inputs = {_identity(source): source for source in _inputs(args)}
     folders = [source for source in inputs.values() if os.path.isdir(source)]
-    existing = [path for path in files if path.exists()]
+    # "new/../a.png" is no file before the folder "new" is made, and then it is "a.png".
+    real = {path: Path(os.path.realpath(path)) for path in files}
+    existing = [path for path in files if real[path].exists()]
     for path in existing:
-        if source := inputs.get(_identity(path)):
+        if source := inputs.get(_identity(real[path])):
             raise UsageError(f"{path} would be written over the input {source}: choose another name or folder.")
         for folder in folders:
-            if os.path.realpath(path).startswith(os.path.realpath(folder) + os.sep):
+            if str(real[path]).startswith(os.path.realpath(folder) + os.sep):
                 raise UsageError(f"{path} exists in the folder {folder}, which is read: choose another name or folder.")
-        check_file(path)
-    known = {folder: _manifest(folder) for folder in {path.parent for path in existing}}
-    kept = [path for path in existing if not args.overwrite and known[path.parent].get(path.name) != _digest(path)]
+        check_file(real[path])
+    known = {folder: _manifest(folder) for folder in {real[path].parent for path in existing}}
+    unchanged = {path: known[at.parent].get(at.name) == _digest(at) for path, at in real.items() if path in existing}
+    kept = [path for path in existing if not args.overwrite and not unchanged[path]]
     if kept:
         names = ", ".join(map(str, kept[:3])) + (f" and {len(kept) - 3} more" if len(kept) > 3 else "")
         verb, them, others = ("exist", "them", "other names") if len(kept) > 1 else ("exists", "it", "another name")

@@ -37,6 +37,7 @@ _FONT: Final = 0.4  # OpenCV's scale of letters, about 12 pixels high
 _PIXELS: Final = 640 * 480  # of an image on which marks have size 1
 _SMALL: Final = 240  # pixels of height, below which numbers do not fit between the points
 _LEGIBLE: Final = 480  # pixels of height to which such an image is enlarged
+_WIDEST: Final = 1920  # pixels: it is not enlarged beyond this width
 
 
 def draw_detection(
@@ -80,7 +81,8 @@ def mark_size(image: Image) -> float:
 
 def legible_scale(image: Image) -> int:
     """Return the ``scale`` that a small image needs, so that the numbers of its points can be read."""
-    return 1 if image.shape[0] >= _SMALL else round(_LEGIBLE / image.shape[0])
+    height, width = image.shape[:2]
+    return 1 if height >= _SMALL else max(min(round(_LEGIBLE / height), _WIDEST // width), 1)
 
 
 def draw_over(picture: Image, detection: Detection, scale: float, size: float = 1.0) -> None:
