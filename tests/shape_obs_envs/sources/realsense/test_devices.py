@@ -66,6 +66,7 @@ def test_a_recording_without_depth_and_a_camera_whose_depth_is_left_out(tmp_path
             device.push_raw(*picture(number), stamp=10 + number / 30)
             assert stream.read(5).depth is None
         first = _array(stream.read_latest(9).rgb)
+    options: dict[str, Any]
     for options in ({}, {"depth": False}):
         with open_source(path, **options) as again:
             assert not again.has_depth
