@@ -31,6 +31,8 @@ _FOCAL: Final = (1e-3, 1e9)  # pixels
 _MAX_CENTER: Final = 1e9  # pixels
 _MAX_COEFF: Final = 1e6
 _MAX_DISTANCE: Final = 1e9  # metres, from the base
+_ORTHONORMAL: Final = 1e-4  # largest entry of R R^T - 1
+_ROUNDED: Final = 1e-2  # the same of a rotation typed with two or three digits
 _MAX_PIXEL: Final = 1e12  # farther off, a projected point counts as out of sight
 _MAX_DISPARITY: Final = 1e3  # pixels
 _MAX_BASELINE: Final = 1e3  # metres
@@ -334,21 +336,29 @@ def rigid_transform(values: npt.ArrayLike, what: str) -> npt.NDArray[np.float64]
         transform = np.array(values, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise SpecError(f"{what} must be a rigid (4,4) transform, got {values!r:.200}: {error}") from error
-    usable = transform.shape == (4, 4) and bool((np.abs(transform) <= _MAX_DISTANCE).all())
-    rotation = transform[:3, :3] if usable else np.zeros((3, 3))
-    # The size first: products of huge numbers overflow.
-    rigid = (
-        np.all(np.abs(rotation) < 2)
-        and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
-        and np.linalg.det(rotation) > 0
-    )
-    if not rigid or not np.allclose(transform[3], (0, 0, 0, 1)):
+    if fault := _not_rigid(transform):
         raise SpecError(
-            f"{what} must be a rigid (4,4) transform (rotation, translation in metres, last row 0 0 0 1), got shape "
-            f"{transform.shape}:\n{transform}"
+            f"{what} must be a rigid (4,4) transform (rotation, translation in metres, last row 0 0 0 1), got {fault}:"
+            f"\n{transform}"
         )
     transform.setflags(write=False)
     return transform
+
+
+def _not_rigid(transform: npt.NDArray[np.float64]) -> str:
+    """Return what keeps an array from being a rigid transform; empty if it is one."""
+    if transform.shape != (4, 4):
+        return f"shape {transform.shape}"
+    if not (np.abs(transform) <= _MAX_DISTANCE).all():
+        return f"NaN, or a number above {_MAX_DISTANCE:g}"
+    if not np.allclose(transform[3], (0, 0, 0, 1)):
+        return f"the last row {transform[3].tolist()}"
+    rotation = transform[:3, :3]
+    off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if off > _ORTHONORMAL:
+        rounded = "; were its numbers rounded? Give more digits" if off < _ROUNDED else ""
+        return f"a rotation R that is not orthonormal, R R^T is off by {off:.2g}{rounded}"
+    return "a mirrored rotation, its determinant is -1" if np.linalg.det(rotation) < 0 else ""
 
 
 def _as_points(points: npt.ArrayLike, dimension: int, name: str) -> npt.NDArray[np.float64]:

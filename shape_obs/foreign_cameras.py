@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
@@ -12,7 +13,18 @@ Fields = Mapping[str, Any]
 
 #: Names of K and D in ROS 2, ROS 1, ROS's calibration files, OpenCV's samples and Open3D.
 _MATRIX: Final = ("k", "K", "camera_matrix", "intrinsic_matrix")
-_COEFFICIENTS: Final = ("d", "D", "distortion_coefficients", "dist_coeffs")
+_COEFFICIENTS: Final = (
+    "d",
+    "D",
+    "distortion_coefficients",
+    "dist_coeffs",
+    "dist_coeff",
+    "distCoeffs",
+    "dist",
+    "distortion",
+)
+#: What names of coefficients have in common.
+_LIKE_COEFFICIENTS: Final = re.compile("dist(?!ance)|coef", re.IGNORECASE)
 _WIDTH, _HEIGHT = ("width", "image_width"), ("height", "image_height")
 #: ROS's models that are OpenCV's polynomial; the terms behind the fifth must be 0.
 _POLYNOMIAL: Final = ("", "plumb_bob", "rational_polynomial", "none", "pinhole")
@@ -26,6 +38,7 @@ _REALSENSE: Final = {
     "inverse_brown_conrady": "inverse_brown_conrady",
     "modified_brown_conrady": "inverse_brown_conrady",
 }
+_SKEW: Final = 1e-6  # of the focal length; less in K is rounding
 _CENTRAL: Final = 0.2  # share of the image by which the principal point of a K without a size may be off the middle
 _RECTIFY: Final = "rectify the image (cv2.undistort, cv2.fisheye, image_proc) and give the intrinsics of the result"
 
@@ -51,6 +64,7 @@ def read_fields(camera: Any, size: tuple[int, int] | None) -> Fields:
     matrix = _first(get, _MATRIX)
     if matrix is not None:
         _check_whole_image(get)
+        _check_coefficients(camera, get)
         width, height = _first(get, _WIDTH), _first(get, _HEIGHT)
         given = None if width is None or height is None else (int(height), int(width))
         model = str(get("distortion_model") or "")
@@ -76,12 +90,18 @@ def read_fields(camera: Any, size: tuple[int, int] | None) -> Fields:
 def _first(get: Get, names: Sequence[str]) -> Any:
     """Return the first of some values that is there; of the matrices in ROS's calibration files their numbers."""
     value = next((value for name in names if (value := get(name)) is not None), None)
-    return value.get("data") if isinstance(value, Mapping) else value
+    return value.get("data", value) if isinstance(value, Mapping) else value
 
 
 def _realsense(get: Get) -> Fields:
     name = str(get("model")).lower().replace(" ", "_").removeprefix("distortion.").removeprefix("rs2_distortion_")
-    coefficients = tuple(float(value) for value in get("coeffs"))
+    given = get("coeffs")
+    coefficients = () if given is None else tuple(float(value) for value in given)
+    if (get("model") is None and any(coefficients)) or (given is None and name != "none"):
+        raise ValueError(
+            f"camera: distortion is a model and its coeffs, got model {get('model')!r} and coeffs {given!r}: give "
+            f"both, the model as one of librealsense's {', '.join(_REALSENSE)}; 'none' if the image is rectified."
+        )
     if not any(coefficients) and name in _REALSENSE:
         name = "none"
     if name not in _REALSENSE:
@@ -98,6 +118,18 @@ def _check_whole_image(get: Get) -> None:
     part = roi.get if isinstance(roi, Mapping) else lambda name: getattr(roi, name, 0)
     if max(get("binning_x") or 0, get("binning_y") or 0) > 1 or part("x_offset") or part("y_offset"):
         raise ValueError("camera: binning and regions of interest are not supported; give the CameraInfo of the image.")
+
+
+def _check_coefficients(camera: Any, get: Get) -> None:
+    """Refuse distortion under a name that is not known, which would be ignored."""
+    names = camera if isinstance(camera, Mapping) else getattr(camera, "__dict__", ())
+    for name in names:
+        unknown = name not in (*_COEFFICIENTS, "distortion_model") and not str(name).startswith("_")
+        if unknown and _LIKE_COEFFICIENTS.search(str(name)) and get(name) is not None:
+            raise ValueError(
+                f"camera: {name!r} next to K is not known. Is it the distortion (k1, k2, p1, p2, k3)? Then call it one "
+                f"of {', '.join(_COEFFICIENTS)}; if not, leave it out."
+            )
 
 
 def _opencv(
@@ -118,7 +150,7 @@ def _opencv(
     k = k.reshape(3, 3)
     if not k[:2, :2].any():
         raise ValueError("camera: K is all zero: this camera is not calibrated.")
-    if k[0, 1] or k[1, 0] or not np.allclose(k[2], (0, 0, 1)):
+    if max(abs(k[0, 1]), abs(k[1, 0])) > _SKEW * abs(k[0, 0]) or not np.allclose(k[2], (0, 0, 1)):
         raise ValueError(f"camera: expected K as [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {k.tolist()}.")
     d = np.zeros(0) if coefficients is None else _numbers(coefficients, "D")
     if model not in _POLYNOMIAL or d.size not in _TERMS or d[5:].any():

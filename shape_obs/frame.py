@@ -33,8 +33,9 @@ class Frame:
 
     Args:
         rgb: ``(H, W, 3)`` uint8, RGB order; None when only a mask or depth is at hand.
-        depth: (H,W) uint16 millimetres or floating metres along the optical axis; 0, negative, non-finite, masked or
-            absurd (1000 km) = invalid. What is neither uint16 nor float32, or not stored row by row, is converted here.
+        depth: (H,W) uint16 or int16 millimetres or floating metres along the optical axis; 0, negative, non-finite,
+            masked or absurd (1000 km) = invalid. What is neither uint16 nor float32, or not stored row by row, is
+            converted here.
         camera: The camera model, or what ``as_camera_model`` makes one of; needed for 3D and for anchors in the base
             frame.
         stamp: Seconds; None when the source has no clock.
@@ -151,6 +152,8 @@ def _checked_rgb(given: Any) -> npt.NDArray[np.uint8]:
 
 def _checked_depth(given: Any) -> npt.NDArray[Any]:
     depth = plain_array(given, "depth", masked=0)
+    if isinstance(depth, np.ndarray) and depth.dtype == np.int16:
+        depth = np.maximum(depth, 0).astype(np.uint16)
     if not isinstance(depth, np.ndarray) or not (depth.dtype == _WORD or np.issubdtype(depth.dtype, np.floating)):
         whole = isinstance(depth, np.ndarray) and depth.dtype.kind in "iu"
         hint = "; of whole millimetres give depth.astype(np.uint16)" if whole else ""

@@ -121,6 +121,8 @@ REALSENSE = {**SIZE, "fx": 600.0, "fy": 601.0, "ppx": 319.0, "ppy": 242.0, "coef
         ({"camera_matrix": {"rows": 3, "cols": 3, "data": K.ravel().tolist()}, "image_width": 640,
           "image_height": 480, "distortion_coefficients": {"data": D[0].tolist()}}, BENT),
         (SimpleNamespace(**SIZE, intrinsic_matrix=K), PINHOLE),  # Open3D's
+        *[({**SIZE, "camera_matrix": K, name: D}, BENT) for name in ("dist_coeff", "dist", "distCoeffs", "distortion")],
+        (K + [[0, 1e-5, 0], [0, 0, 0], [0, 0, 0]], PINHOLE),
         ({**REALSENSE, "model": "Brown Conrady"}, BENT),
         (SimpleNamespace(**REALSENSE, model="distortion.none"), PINHOLE),
         (SimpleNamespace(get_intrinsics=lambda: SimpleNamespace(**REALSENSE, model="distortion.none")), PINHOLE),
@@ -162,6 +164,13 @@ def test_sources_calibration_and_features_take_them_too():
         ((K, [0.1, 0, 0, 0, 0, 0.2, 0, 0]), "rectify the image"),
         ({**SIZE, "k": K.ravel(), "d": D[0, :4], "distortion_model": "equidistant"}, "rectify the image"),
         ({**SIZE, "k": K.ravel(), "d": [], "binning_x": 2}, "binning"),
+        (REALSENSE, "give both"),
+        (SimpleNamespace(**REALSENSE), "give both"),
+        ({**REALSENSE, "model": "brown_conrady", "coeffs": None}, "give both"),
+        *[({**SIZE, "K": K, name: D}, f"{name!r} next to K") for name in ("coeffs", "Distort", "dist_coefs")],
+        ({**SIZE, "K": K, "distortion": {"k1": 0.1}}, "numbers as D"),
+        (SimpleNamespace(**SIZE, K=K, coeffs=D), "'coeffs' next to K"),
+        (K + [[0, 0.1, 0], [0, 0, 0], [0, 0, 0]], "expected K as"),
         ({**REALSENSE, "model": "distortion.kannala_brandt4"}, "lens model is 'kannala_brandt4'"),
         ({"intrinsics": PINHOLE, "transform": np.eye(4)}, "did you mean 'transform_camera_to_base'"),
         ({**SIZE, "fx": 600.0}, "missing fy"),
@@ -221,10 +230,18 @@ def test_wrong_intrinsics_are_reported(change, message):
 
 
 @pytest.mark.parametrize(
-    "pose", [np.eye(3), 2 * np.eye(4), np.diag([1.0, 1, -1, 1]), np.full((4, 4), np.nan), np.eye(4)[[0, 1, 3, 2]]]
+    ("pose", "fault"),
+    [
+        (np.eye(3), r"shape \(3, 3\)"),
+        (np.diag([2.0, 2, 2, 1]), "off by 3"),
+        (np.diag([1, 1.0005, 1, 1]), "off by 0.001; .*more digits"),
+        (np.diag([1.0, 1, -1, 1]), "mirrored"),
+        (np.full((4, 4), np.nan), "NaN"),
+        (np.eye(4)[[0, 1, 3, 2]], "last row"),
+    ],
 )
-def test_a_pose_that_is_not_rigid_is_refused(pose):
-    with pytest.raises(ValueError, match=r"transform_camera_to_base must be a rigid \(4,4\) transform"):
+def test_a_pose_that_is_not_rigid_is_refused(pose, fault):
+    with pytest.raises(ValueError, match=rf"transform_camera_to_base must be a rigid \(4,4\) transform .*{fault}"):
         CameraModel(Intrinsics(**D455), pose)
 
 

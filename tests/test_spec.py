@@ -98,6 +98,8 @@ def test_a_nested_error_names_the_path_to_the_field():
         (lambda: Centerline(radius=-1), "centerline: radius must be >= 0 metres, got -1.0."),
         (lambda: Centerline(anchor=(np.nan, 1)), r"centerline: anchor must be finite, got \(nan, 1.0\)."),
         (lambda: HSVRange((180, 0, 0), (10, 255, 255)), "hsv: low must be .h 0...179, s 0...255, v 0...255., got"),
+        (lambda: HSVRange((170, 0, 0), (190, 255, 255)), "10 if it wraps around: low 170 and high 10"),
+        (lambda: HSVRange((-10, 0, 0), (10, 255, 255)), "170 if it wraps around: low 170 and high 10"),
         (lambda: HSVRange((1, 90, 0), (1, 80, 0)), "low saturation 90 is above high saturation 80; only hue wraps"),
         (lambda: GrayRange(9, 8), "gray: expected 0 <= low <= high <= 255, got low 9 and high 8."),
         (lambda: DepthRange(0.0, 1.0), "depth: expected 0 < near <= far in metres, got near 0.0 and far 1.0."),

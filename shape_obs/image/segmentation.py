@@ -174,7 +174,7 @@ class HSVRange(ColourRule, kind="hsv"):
         for name, bound in (("low", self.low), ("high", self.high)):
             if len(bound) != 3 or any(not 0 <= value <= limit for value, limit in zip(bound, top, strict=True)):
                 text = f"hsv: {name} must be (h 0...179, s 0...255, v 0...255), got {bound}."
-                raise ValueError(text + _hue_hint(bound[0], name == "high"))
+                raise ValueError(text + _hue_hint(bound[0], name == "high", self.high[0] - self.low[0]))
         for i, name in ((1, "saturation"), (2, "value")):
             if self.low[i] > self.high[i]:
                 raise ValueError(
@@ -199,9 +199,12 @@ def _from_fractions(bound: Any) -> tuple[int, ...] | None:
     return tuple(round(value * scale) for value, scale in zip(values, (HUES - 1, 255, 255), strict=True))
 
 
-def _hue_hint(hue: int, upper: bool) -> str:
-    """Return what may be meant by a hue above 179, as the end of an error message."""
+def _hue_hint(hue: int, upper: bool, width: int) -> str:
+    """Return what may be meant by a hue outside 0...179, as the end of an error message; width is the range's."""
     meant = ["0, which is the same hue"] if hue == HUES else []
+    if 0 <= width <= _WIDEST_RED and (hue < 0 or (upper and hue - width < HUES < hue)):
+        low, high = ((hue - width) % HUES, hue % HUES) if upper else (hue % HUES, (hue + width) % HUES)
+        meant = [f"{hue % HUES} if it wraps around: low {low} and high {high} are {low}...{HUES - 1} and 0...{high}"]
     meant += [f"{HUES - 1} for no upper limit"] if upper and hue in (LEVELS - 1, 2 * HUES) else []
     meant += [f"{_rescaled(hue, LEVELS)} if it is 0...255"] if HUES <= hue < LEVELS else []
     meant += [f"{_rescaled(hue, 2 * HUES)} if it is in degrees"] if HUES <= hue <= 2 * HUES else []

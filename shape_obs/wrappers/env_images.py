@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -19,6 +20,7 @@ Key = str | int | Sequence[str | int]
 Path = tuple[str | int, ...]
 
 _FULL: Final = 255
+_OTHER_SCALE: Final = (-0.5, 2.0)  # of full scale; values beyond are no rounding or overshoot of a resized image
 _STATE: Final = "For state observations add images first, e.g. with gymnasium.wrappers.AddRenderObservation."
 _STACKED: Final = "These look like stacked frames: put ShapeObservation below the wrapper that stacks them."
 _RESCALE: Final = (
@@ -84,13 +86,13 @@ class Image:
 
     def _as_bytes(self, image: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
         low, high = float(image.min()), float(image.max())
-        fractions = self.factor == 1 and 0 < high <= 1 and image.dtype.kind == "f" and bool(np.any(image % 1))
-        if not 0 <= low <= high <= _FULL / self.factor or fractions:
+        full = _FULL / self.factor
+        if not _OTHER_SCALE[0] * full <= low <= high <= _OTHER_SCALE[1] * full:
             raise ValueError(
-                f"{_where(self.path)}: the env's observation_space promises values from 0 to {_FULL / self.factor:g}, "
+                f"{_where(self.path)}: the env's observation_space promises values from 0 to {full:g}, "
                 f"but those of the image lie from {low:g} to {high:g}: correct the one or the other."
             )
-        return np.rint(self.factor * image).astype(np.uint8)
+        return np.rint(np.clip(self.factor * image, 0, _FULL)).astype(np.uint8)
 
 
 @dataclass(frozen=True)
@@ -98,8 +100,8 @@ class Images:
     """The images in an env's observation.
 
     Colours may be uint8, floats in 0...1 or numbers in 0...255, as ``(H, W, 3)``, ``(3, H, W)``, with an opacity as
-    fourth channel, or gray; depth uint16 in millimetres or floats in metres, as ``(H, W)``, ``(H, W, 1)`` or
-    ``(1, H, W)``. All may have a leading 1, a batch of one.
+    fourth channel, or gray; depth uint16 or int16 in millimetres or floats in metres, as ``(H, W)``,
+    ``(H, W, 1)`` or ``(1, H, W)``. All may have a leading 1, a batch of one.
 
     Args:
         rgb: The colour image.
@@ -112,6 +114,9 @@ class Images:
     @classmethod
     def find(cls, space: spaces.Space[Any], rgb_key: Key | None = None, depth_key: Key | None = None) -> Images:
         """Find the images in an observation space; the defaults are ``"rgb"``, and ``"depth"`` next to it if any.
+
+        Warns:
+            UserWarning: The ``"depth"`` next to it is an image that is no depth of it; it is left out.
 
         Raises:
             ValueError: There is no image under a key; the message lists the keys.
@@ -127,8 +132,13 @@ class Images:
             return cls(rgb, _depth(*_find(space, "depth_key", depth_key), rgb.size))
         around = _at(space, path[:-1])
         neighbour = around.spaces.get("depth") if isinstance(around, spaces.Dict) else None
-        image = isinstance(neighbour, spaces.Box) and len(neighbour.shape) > 1
-        return cls(rgb, _depth((*path[:-1], "depth"), neighbour, rgb.size) if image else None)
+        if not isinstance(neighbour, spaces.Box) or len(neighbour.shape) < 2:
+            return cls(rgb, None)
+        try:
+            return cls(rgb, _depth((*path[:-1], "depth"), neighbour, rgb.size))
+        except ValueError as error:
+            warnings.warn(f"depth is left out: {error}", stacklevel=3)
+            return cls(rgb, None)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -237,7 +247,7 @@ def _depth(path: Path, space: Any, size: tuple[int, int]) -> Image:
         ValueError: It is none, or not as large as the colour image.
     """
     steps = steps_to_depth(space.shape) if isinstance(space, spaces.Box) else None
-    if steps is not None and (space.dtype == np.uint16 or np.issubdtype(space.dtype, np.floating)):
+    if steps is not None and (space.dtype in (np.uint16, np.int16) or np.issubdtype(space.dtype, np.floating)):
         image = Image(path, space, tuple(steps))
         if image.size == size:
             return image

@@ -381,6 +381,8 @@ def test_bad_arguments(arguments, message):
     space.spaces["depth"] = gym.spaces.Box(0.1, 5.0, SMALL, np.float32)
     with pytest.raises(ValueError, match=r"a hole is 0, which the space must contain, got low 0.1"):
         D455Noise(env)
+    with pytest.raises(ValueError, match="makes uint16"):
+        D455Noise(Images(np.full(SMALL, 700, np.int16), 32767))
 
 
 # ---- over the cable environment

@@ -96,7 +96,11 @@ def test_a_gray_image_is_read_as_colours_without_saturation(shape):
         ),
         (spaces.Dict({"rgb": spaces.Box(-np.inf, np.inf, (4, 2))}), {}, "AddRenderObservation"),
         (RGB, {"rgb_key": "rgb"}, "leave rgb_key out"),
-        (spaces.Dict({"rgb": RGB, "depth": spaces.Box(0, 9, (60, 80))}), {}, "as large as the RGB image"),
+        (
+            spaces.Dict({"rgb": RGB, "depth": spaces.Box(0, 9, (60, 80))}),
+            {"depth_key": "depth"},
+            "as large as the RGB image",
+        ),
         (spaces.Dict({"rgb": RGB, "z": spaces.Box(0, 9, (120, 160), np.int32)}), {"depth_key": "z"}, "uint16"),
     ],
 )
@@ -121,6 +125,23 @@ def test_a_depth_that_is_no_image_is_a_number_of_the_env():
     space = spaces.Dict({"rgb": RGB, "depth": spaces.Box(0, 1, (1,))})
     env = wrapped(changed(lambda seen: {"rgb": seen["rgb"], "depth": np.zeros(1, np.float32)}, space))
     assert env.reset(seed=0)[0].shape == (40,)
+
+
+@pytest.mark.parametrize("space", [RGB, spaces.Box(0, 9, (60, 80)), spaces.Box(0, 9, (120, 160), np.int32)])
+def test_a_neighbour_that_is_no_depth_of_the_image_is_left_out(space):
+    with pytest.warns(UserWarning, match="depth is left out: .*as large as the RGB image"):
+        env = wrapped(changed(lambda seen: {"rgb": seen["rgb"]}, spaces.Dict({"rgb": RGB, "depth": space})))
+    assert env.reset(seed=0)[1]["shape/ok"]
+
+
+def test_depth_of_int16_is_read_in_millimetres():
+    def first(dtype: Any) -> Any:
+        depth = lambda z: (1000 * z).astype(dtype)[None, ..., None]  # noqa: E731
+        space = spaces.Dict({"rgb": RGB, "depth": spaces.Box(0, 32767, (1, 120, 160, 1), dtype)})
+        env = changed(lambda seen: {"rgb": seen["rgb"], "depth": depth(seen["depth"])}, space)
+        return wrapped(env, features=["points3d"]).reset(seed=0)[0]
+
+    np.testing.assert_array_equal(first(np.int16), first(np.uint16))
 
 
 @pytest.mark.parametrize(
@@ -161,9 +182,25 @@ def test_what_an_observation_lacks_is_named(take, message):
         env.reset(seed=0)
 
 
-@pytest.mark.parametrize(("high", "factor"), [(1, 255), (255, 1 / 255)])
+@pytest.mark.parametrize(("high", "factor"), [(1, 255), (1, 2.1), (1, -1), (255, 3), (1, np.nan)])
 def test_floats_on_another_scale_than_their_space_are_refused(high, factor):
     space = spaces.Box(0, high, (120, 160, 3), np.float32)
-    env = changed(lambda seen: (seen["rgb"] * factor).astype(np.float32), space)
+    env = changed(lambda seen: (high * factor * floats(seen["rgb"] | 255)).astype(np.float32), space)
     with pytest.raises(ValueError, match="promises values from 0 to"):
         next(walk(wrapped(env)))
+
+
+@pytest.mark.parametrize(
+    ("high", "values", "bytes_"),
+    [
+        (1, (-0.1, 1.1), (0, 255)),
+        (1, (-1e-7, 1.000001), (0, 255)),
+        (255, (0.4, 0.4), (0, 0)),
+        (255, (-20, 280), (0, 255)),
+    ],
+)
+def test_floats_a_little_beyond_their_space_are_clipped_and_a_dark_image_is_read(high, values, bytes_):
+    image = np.full((120, 160, 3), values[0], np.float32)
+    image[60:] = values[1]
+    seen = Images.find(spaces.Box(0, high, image.shape, np.float32)).read(image)[0]
+    assert (seen[0, 0, 0], seen[-1, 0, 0]) == bytes_

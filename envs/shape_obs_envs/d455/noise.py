@@ -209,6 +209,8 @@ def _boxes(images: Images) -> tuple[spaces.Box, spaces.Box | None]:
     rgb, depth = images.rgb.space, images.depth
     if images.rgb.steps or images.rgb.factor:
         raise ValueError(f"D455Noise: the RGB image must be Box(0, 255, (H, W, 3), uint8), got {rgb}.")
+    if depth is not None and depth.space.dtype == np.int16:
+        raise ValueError("D455Noise: the depth image is int16. Put a wrapper below that makes uint16 of it.")
     if depth is not None and (depth.space.low > 0).any():
         raise ValueError(
             f"the depth image: a hole is 0, which the space must contain, got low {depth.space.low.max()}. "
