@@ -76,7 +76,7 @@ def expected_error(
     in_image: bool,
     camera: Intrinsics | None,
     diagonal: float,
-    off: Array | None,
+    off: Array | None = None,
 ) -> npt.NDArray[np.float32]:
     """Return the RMS error per axis that is expected of each point.
 
