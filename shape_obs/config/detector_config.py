@@ -26,6 +26,12 @@ if TYPE_CHECKING:
 #: points of ropes lie at the depth of their curve; sheets and outlines are laid in space, their hidden parts put back.
 ALGORITHM: Final = 4
 NO_BACKEND: Final = "backend={!r} is ignored: the inner loops are always compiled with Numba. Remove it."
+#: The largest plausible values, in seconds and metres a second, and what larger ones are likely to be.
+_MOST: Final = (
+    ("dt", 2.0, "s between frames", "Is it milliseconds or frames a second? Give {0:.4g} / 1000 or 1 / {0:.4g}"),
+    ("max_age", 60.0, "s", "Is it milliseconds? Give {0:.4g} / 1000"),
+    ("max_speed", 100.0, "m/s", "Is it millimetres a second? Give {0:.4g} / 1000, or None for no limit"),
+)
 
 
 @dataclass(frozen=True)
@@ -51,6 +57,9 @@ class DetectorConfig(Spec):
             have joined that one, else a new one. Cables that are swung through the air at 33 frames a second move by
             9 cm and 70 px a frame at most, which is 3 m and 3.6 widths a second. None sets no limit.
         dt: Seconds between frames without stamps, or whose stamps stand still, run back or jump by more than a day.
+
+    Warns:
+        UserWarning: ``dt``, ``max_age`` or ``max_speed`` is so large that it is likely in another unit.
     """
 
     shapes: tuple[Configuration, ...] = field(default_factory=lambda: (Configuration.from_dict("centerline"),))
@@ -93,6 +102,11 @@ class DetectorConfig(Spec):
                 "max_speed: expected more than 0 metres a second (with depth) or image widths a second (without), or "
                 f"None for no limit, got {self.max_speed}."
             )
+        for name, most, unit, hint in _MOST:
+            value = getattr(self, name)
+            if value is not None and value > most:
+                text = f"{name}: {value:.4g} {unit} is more than expected. {hint.format(value)}"
+                warnings.warn(f"{text}; if it is meant, leave it.", stacklevel=7)
         if isinstance(self.clustering, Clusterer):
             for shape in self.resolved():
                 for name, wanted in (("ends", "centers"), ("spacing", "px")):

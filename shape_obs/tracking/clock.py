@@ -19,6 +19,10 @@ _UNITS: Final = (
     (1e3, "microseconds", 1e6, "1e6"),
     (4.0, "milliseconds", 1e3, "1000"),
 )
+_TICKS: Final = (1.6e5, "ticks of 100 ns", 1e7, "1e7")  # the unit of Windows and .NET, at up to 62 frames a second
+_MOST_TICKS: Final = 2e6  # five frames a second
+_UNIX: Final = (1e9, 4e9)  # seconds since 1970, from 2001 to 2096: stamps of this size are seconds
+_LONGEST_LAPSE: Final = 1e6  # seconds: recordings that last for weeks may have one each week
 _FASTEST: Final = 1e-4  # seconds, ten times as fast as the fastest cameras: seconds that were divided by 1000
 _COARSEST: Final = 1e-3  # seconds; stamps with a coarser step do not show the time between frames
 
@@ -100,15 +104,19 @@ class Clock:
         if len(self._steps) < _SAMPLE:
             return
         usual = median(self._steps)
+        if _UNIX[0] <= stamp <= _UNIX[1] and 1 <= usual < _LONGEST_LAPSE:
+            return
         read = f"{usual:.3g} s from frame to frame as they are read"
-        for least, unit, scale, text in _UNITS:
+        seconds = "; if they are seconds, leave them: they are read as such" if usual <= LONGEST_PAUSE else ""
+        for least, unit, scale, text in (_TICKS, *_UNITS) if usual.is_integer() and usual <= _MOST_TICKS else _UNITS:
             if usual >= least:
-                rate = scale / usual
-                return self._warn(f"{read}, but they look like {unit}, {rate:.3g} frames a second: give stamp / {text}")
+                look = f"{read}, but they look like {unit}, {scale / usual:.3g} frames a second"
+                return self._warn(f"{look}: give stamp / {text}{seconds}")
         if usual < _FASTEST:
             self._warn(f"{read}, but they look like seconds divided by 1000: give stamp * 1000")
         elif isinstance(stamp, numbers.Integral) and usual >= 1:
-            self._warn(f"{read}, but they look like frame numbers: give stamp / fps, or no stamp and dt=1 / fps")
+            give = "give stamp / fps, or no stamp and dt=1 / fps"
+            self._warn(f"{read}, but they look like frame numbers: {give}{seconds}")
 
     def _warn(self, text: str, level: int = 6) -> None:
         self._warned = True

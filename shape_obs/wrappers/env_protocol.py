@@ -14,10 +14,11 @@ repeat a step are counted, see ``EnvClock``; one that publishes ``dt`` gives the
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, Final
+from typing import Any, Final, SupportsFloat
 
 import gymnasium as gym
 from gymnasium import spaces
@@ -128,8 +129,18 @@ def _timed(env: gym.Env[Any, Any]) -> tuple[gym.Env[Any, Any], float | None]:
     while True:
         dt = getattr(env, "shape_obs_defaults", {}).get("dt") or getattr(env, "dt", None)
         if dt or not isinstance(env, gym.Wrapper):
-            return env, float(dt) if dt else 1 / fps if fps else None
+            break
         env = env.env
+    if dt:
+        return env, _positive("dt", "seconds per step", dt)
+    return env, 1 / _positive("metadata['render_fps']", "frames per second", fps) if fps else None
+
+
+def _positive(name: str, what: str, value: Any) -> float:
+    """Return a published number; text is refused, which is likelier a mistake than a number."""
+    if isinstance(value, str) or not isinstance(value, SupportsFloat) or not 0 < float(value) < math.inf:
+        raise ValueError(f"the env publishes {name}={value!r}: expected {what}, a number above 0.")
+    return float(value)
 
 
 class EnvClock:
@@ -140,11 +151,11 @@ class EnvClock:
 
     Args:
         env: The env.
-        dt: Seconds per step of ``env``, if they are not to be measured.
+        dt: Seconds of a whole step, if they are not to be measured.
 
     Attributes:
         now: Seconds since the clock was made; a user may set it.
-        dt: Seconds of a whole step, as far as was measured or is known before.
+        dt: Seconds of a whole step: as given, else as far as was measured or is known before.
         was_reset: Whether the env was reset within the last step, so that its observation begins an episode.
 
     Warns:
@@ -156,16 +167,16 @@ class EnvClock:
         self._timed, known = _timed(env)
         self._unknown = known is None and dt is None
         self._each = known or 1 / _USUAL_RATE
-        self.now, self.dt, self.was_reset = 0.0, seconds_per_step(env), False
+        self.now, self.dt, self.was_reset = 0.0, dt or seconds_per_step(env), False
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step the env, and return what it returned."""
         calls: list[str] = []
         with _noted(self._timed, "step", calls), _noted(self._env.unwrapped, "reset", calls):
             result = self._env.step(action)
-        seconds = (calls.count("step") or 1) * self._each
+        seconds = self._given or (calls.count("step") or 1) * self._each
         self.dt, self.was_reset = max(self.dt, seconds), "reset" in calls  # the last step of an episode may be shorter
-        self.now += self._given or seconds
+        self.now += seconds
         return result
 
     def stamp(self, info: Mapping[str, Any]) -> Any:

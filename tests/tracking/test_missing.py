@@ -82,6 +82,10 @@ def test_a_clock_that_works_again_is_believed_again(wave, empty):
         (np.arange(8) * 1e6 / 30, "microseconds"), (1700000000000000000 + np.arange(8) * 33333333, "nanoseconds"),
         (np.arange(8), "frame numbers"), (2 * np.arange(8), "frame numbers"), (np.arange(8) / 3e4, "divided by 1000"),
         ((1.7e9 + np.arange(8)).astype(np.float32), "resolves 128 s"), (np.arange(70) // 30, "parts of seconds"),
+        *((1.7e9 + step * np.arange(8), None) for step in (10, 60, 300, 3600, 86400, 3600.02)),
+        (1_700_000_000 + np.arange(8), None), (10 * np.arange(8), "if they are seconds, leave them"),
+        (3600.0 * np.arange(8), "if they are seconds, leave them"), (333333 * np.arange(8), "ticks of 100 ns, 30 f"),
+        (133_500_000_000_000_000 + 333333 * np.arange(8), "ticks of 100 ns, 30 f"),
     ],
 )  # fmt: skip
 def test_stamps_in_another_unit_warn_once_and_one_hertz_does_not(wave, stamps, unit):

@@ -21,7 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rope_env import BLUE, INTRINSICS, PixelEnv, RopeEnv, run, walk, wrapped
 
-from shape_obs import Centerline, ShapeObservation, SpecError
+from shape_obs import Centerline, ShapeDetector, ShapeObservation, SpecError
 from shape_obs.features import Points3D
 
 
@@ -241,7 +241,7 @@ class TestInfo:
     @pytest.mark.parametrize(
         ("wrap", "given", "dt"),
         [
-            (lambda env: env, {}, 0.1), (lambda env: env, {"dt": 0.2}, 0.2), (Twice, {"dt": 0.3}, 0.3),
+            (lambda env: env, {}, 0.1), (lambda env: env, {"dt": 0.2}, 0.2), (Twice, {"dt": 0.3}, 0.3), (lambda env: env, {"dt": 0.05}, 0.05),
             (lambda env: RepeatAction(TimeLimit(OrderEnforcing(env), 99), 3), {}, 0.3), (Twice, {}, 0.2),
             (lambda env: Twice(RepeatAction(env, 2)), {}, 0.4), (lambda env: Timed(Twice(env)), {}, 0.5),
             (lambda env: Twice(Timed(env)), {}, 1.0),
@@ -250,7 +250,7 @@ class TestInfo:
     def test_time_goes_on_by_what_a_step_lasts_under_any_wrapper(self, wrap, given, dt):
         env = wrapped(wrap(RopeEnv(hide=range(1, 99), length=99)), **given)
         assert [step[4]["shape/age"] for step in run(env, steps=3)] == pytest.approx([0, dt, 2 * dt, 3 * dt])
-        assert given or env.dt == pytest.approx(dt)
+        assert env.dt == pytest.approx(dt)
         assert "step" not in vars(env.unwrapped)
 
     def test_a_time_step_that_nothing_shows_is_said_once(self, monkeypatch):
@@ -258,6 +258,26 @@ class TestInfo:
         with pytest.warns(UserWarning, match="how long a step is") as caught:
             _ = [run(env, steps=3) for env in (wrapped(), wrapped(dt=0.1))]
         assert [each.filename for each in caught] == [rope_env.__file__]
+
+    @pytest.mark.parametrize("fps", ["30", -30, [30], np.inf])
+    def test_a_rate_that_is_no_positive_number_is_refused(self, monkeypatch, fps):
+        monkeypatch.setattr(RopeEnv, "metadata", {"render_fps": fps})
+        with pytest.raises(ValueError, match=r"publishes metadata\['render_fps'\]=.*: expected frames per second"):
+            wrapped()
+
+    @pytest.mark.parametrize(
+        ("given", "count"),
+        [
+            ({"dt": 33.3}, 1), ({"dt": 30}, 1), ({"max_age": 500}, 1), ({"max_speed": 5000}, 1),
+            ({"dt": 2, "max_age": 60, "max_speed": 100}, 0), ({"max_speed": None}, 0),
+        ],
+    )  # fmt: skip
+    def test_times_and_speeds_in_another_unit_are_said_once(self, given, count):
+        for make in (ShapeDetector, wrapped):
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                make(**given)
+            assert [each.message.args[0].partition(":")[0] for each in caught] == count * list(given)
 
     @pytest.mark.parametrize("wrap", [Autoreset, ResetWithin])
     def test_an_env_that_resets_itself_begins_a_track_and_a_time(self, wrap):
