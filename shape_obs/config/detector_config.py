@@ -104,7 +104,7 @@ class DetectorConfig(Spec):
             )
         for name, most, unit, hint in _MOST:
             value = getattr(self, name)
-            if value is not None and value > most:
+            if value is not None and most < value < float("inf"):
                 text = f"{name}: {value:.4g} {unit} is more than expected. {hint.format(value)}"
                 warnings.warn(f"{text}; if it is meant, leave it.", stacklevel=7)
         if isinstance(self.clustering, Clusterer):

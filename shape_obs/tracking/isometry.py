@@ -52,7 +52,7 @@ _IDEAL_TORN: Final = 0.25
 _MAX_TORN: Final = 0.4
 _IDEAL_TURNED: Final = 0.2
 _MAX_TURNED: Final = 0.3
-_LEAST: Final = 0.5  # of belief; together they may say what none of them says alone
+_LEAST: Final = 0.5  # of belief: the shares together are evidence where none of them is alone
 _NOISE: Final = 0.1  # of a gap: nodes that are off by less are not
 _UNCERTAIN: Final = 0.2  # of a gap, beyond that: nodes that are off by more are uncertain
 

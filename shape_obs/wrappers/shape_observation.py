@@ -170,7 +170,7 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
 
     @property
     def dt(self) -> float:
-        """Duration of a step in seconds: as given, else with the repetitions by wrappers that are known or were seen."""
+        """Duration of a step, seconds: as given, else with the repetitions by wrappers that are known or were seen."""
         return self._clock.dt
 
     @property

@@ -241,7 +241,8 @@ class TestInfo:
     @pytest.mark.parametrize(
         ("wrap", "given", "dt"),
         [
-            (lambda env: env, {}, 0.1), (lambda env: env, {"dt": 0.2}, 0.2), (Twice, {"dt": 0.3}, 0.3), (lambda env: env, {"dt": 0.05}, 0.05),
+            (lambda env: env, {}, 0.1), (lambda env: env, {"dt": 0.2}, 0.2), (Twice, {"dt": 0.3}, 0.3),
+            (lambda env: env, {"dt": 0.05}, 0.05),
             (lambda env: RepeatAction(TimeLimit(OrderEnforcing(env), 99), 3), {}, 0.3), (Twice, {}, 0.2),
             (lambda env: Twice(RepeatAction(env, 2)), {}, 0.4), (lambda env: Timed(Twice(env)), {}, 0.5),
             (lambda env: Twice(Timed(env)), {}, 1.0),
@@ -277,7 +278,7 @@ class TestInfo:
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
                 make(**given)
-            assert [each.message.args[0].partition(":")[0] for each in caught] == count * list(given)
+            assert [str(each.message).partition(":")[0] for each in caught] == count * list(given)
 
     @pytest.mark.parametrize("wrap", [Autoreset, ResetWithin])
     def test_an_env_that_resets_itself_begins_a_track_and_a_time(self, wrap):

@@ -84,7 +84,9 @@ class _Log(NamedTuple):
             warnings.simplefilter("always")
             # Declared: the scene is larger than the bounds of the features, or its depth is in a wrong unit.
             warnings.filterwarnings("ignore", message="features: .* values lie outside their bounds")
-            warnings.filterwarnings("ignore", message="(depth|cloud): the object is|.*(Give metres|check the unit)")
+            warnings.filterwarnings(
+                "ignore", message="(depth|cloud): the object is|.*(Give metres|check the unit|if it is meant)"
+            )
             try:
                 yield
             except Exception as error:  # noqa: BLE001
