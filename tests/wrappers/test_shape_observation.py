@@ -16,7 +16,7 @@ from env_checks import check_both
 from goal_envs import RED, FlatGoalEnv
 from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import Autoreset, OrderEnforcing, RepeatAction, TimeLimit
+from gymnasium.wrappers import Autoreset, OrderEnforcing, TimeLimit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rope_env import BLUE, INTRINSICS, PixelEnv, RopeEnv, run, walk, wrapped
@@ -63,6 +63,12 @@ class TestLayout:
             wrapped(renamed())
         with pytest.raises(ValueError, match=r"keep: 'shape' is the key that this wrapper uses for the shape; rename"):
             wrapped(renamed(), rgb_key="colour", keep=["shape"])
+
+
+def repeated(env: gym.Env[Any, Any], count: int) -> gym.Env[Any, Any]:
+    if not hasattr(gym.wrappers, "RepeatAction"):
+        pytest.skip("this Gymnasium has no RepeatAction")
+    return gym.wrappers.RepeatAction(env, count)
 
 
 class Twice(gym.Wrapper[Any, Any, Any, Any]):
@@ -243,8 +249,8 @@ class TestInfo:
         [
             (lambda env: env, {}, 0.1), (lambda env: env, {"dt": 0.2}, 0.2), (Twice, {"dt": 0.3}, 0.3),
             (lambda env: env, {"dt": 0.05}, 0.05),
-            (lambda env: RepeatAction(TimeLimit(OrderEnforcing(env), 99), 3), {}, 0.3), (Twice, {}, 0.2),
-            (lambda env: Twice(RepeatAction(env, 2)), {}, 0.4), (lambda env: Timed(Twice(env)), {}, 0.5),
+            (lambda env: repeated(TimeLimit(OrderEnforcing(env), 99), 3), {}, 0.3), (Twice, {}, 0.2),
+            (lambda env: Twice(repeated(env, 2)), {}, 0.4), (lambda env: Timed(Twice(env)), {}, 0.5),
             (lambda env: Twice(Timed(env)), {}, 1.0),
         ],
     )  # fmt: skip
