@@ -43,8 +43,8 @@ _STEP_NOISE: Final = 4.0
 _STEEP: Final = 0.55
 _STEEPER: Final = 0.4
 # Shares that noise and waves explain, and shares from which a sheet is refused. Of 170 simulated cloths that were
-# dropped, dragged and folded, all with less lay within half a cell of their material on average; of 60 in waves none
-# has more (``tests.benchmarks sheets.crumpled``).
+# dropped, dragged and folded, seen at 640 x 480, all with less lay within half a cell of their material on average; of
+# 60 in waves one had more, under 2 mm of noise (``tests.benchmarks sheets.crumpled``).
 _IDEAL: Final = 0.03
 _MAX_SHORT: Final = 0.18
 _MAX_LONG: Final = 0.5
