@@ -87,9 +87,8 @@ class Tracker:
         """Return where the shape should be; None if it is unknown."""
         kind = type(observed), moment.size
         if self._kind is not None and self._kind != kind:
-            self.track = self._last = self._candidate = (
-                None  # pixels cannot be compared with metres, or those of another size
-            )
+            # Pixels cannot be compared with metres, or with those of another size.
+            self.track = self._last = self._candidate = None
         self._kind = kind
         return self.foresee(observed, moment)
 

@@ -34,23 +34,22 @@ _MEASURED: Final = 0.8  # of the nodes of a line have depth, so that its length 
 _FLYING: Final = 2.0  # pixels from the border that may fly between the sheet and what lies behind
 _SMEARED: Final = 3.0  # pixels from the border in which depth may be that of what lies behind
 _SAMPLES: Final = 6  # of depth from a node of a line to the next, at most
-# A step from one sample to the next: metres, two layers of a towel; the slope of a crease; and how often the median
-# over all gaps, which is noise.
-_STEP: Final = 0.005
-_STEP_SLOPE: Final = 1.5
-_STEP_NOISE: Final = 4.0
-# Radians: a surface that is so steep at its border, and so much steeper than an eighth of a side farther in.
-_STEEP: Final = 0.55
-_STEEPER: Final = 0.4
+_STEP: Final = (
+    0.005  # metres from one sample to the next: two layers of a towel, and five times a D455's noise at 0.7 m
+)
+_STEP_SLOPE: Final = 1.5  # metres of depth per metre: steeper than any crease of a cloth in waves (1.0)
+_STEP_NOISE: Final = 4.0  # times the median of the largest steps of all gaps, which is noise
+_STEEP: Final = 0.55  # radians by which a surface leans at its border, where it may turn away
+_STEEPER: Final = 0.4  # radians more than an eighth of a side farther in
 # Shares that noise and waves explain, and shares from which a sheet is refused. Of 170 simulated cloths that were
 # dropped, dragged and folded, seen at 640 x 480, all with less lay within half a cell of their material on average; of
 # 60 in waves one had more, under 2 mm of noise (``tests.benchmarks sheets.crumpled``).
-_IDEAL: Final = 0.03
+_IDEAL: Final = 0.03  # of a row's length, shorter or longer than the median
 _MAX_SHORT: Final = 0.18
 _MAX_LONG: Final = 0.5
-_IDEAL_TORN: Final = 0.25
+_IDEAL_TORN: Final = 0.25  # of the rows or columns
 _MAX_TORN: Final = 0.4
-_IDEAL_TURNED: Final = 0.2
+_IDEAL_TURNED: Final = 0.2  # of a side
 _MAX_TURNED: Final = 0.3
 _LEAST: Final = 0.5  # of belief: the shares together are evidence where none of them is alone
 _NOISE: Final = 0.1  # of a gap: nodes that are off by less are not
@@ -62,7 +61,7 @@ class Isometry(NamedTuple):
 
     Args:
         off: ``(625,)`` metres by which a node may be off its material, 0 for less than a tenth of a gap.
-        gap: Between two of the points that are asked for, metres.
+        gap: Between two points of the shape, metres.
         short: By which share of the median the shortest row or column is shorter along the surface.
         long: The same of the longest.
         torn: Over which share of the rows, or of the columns, depth steps within the sheet.
@@ -88,7 +87,7 @@ class Isometry(NamedTuple):
             region: The sheet's mask.
             images: The frame's depth.
             camera: The projection.
-            size: Rows and columns of the points that are asked for.
+            size: Rows and columns of the shape.
         """
         return cls(*_in_image(lattice, hidden, images, region.mask, region.window[:2], camera.lens, *size))
 

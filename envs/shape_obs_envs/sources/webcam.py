@@ -111,12 +111,12 @@ class WebcamSource(LiveSource):
         except SourceError:
             capture.release()
             raise
-        fps, asked = capture.get(cv2.CAP_PROP_FPS), self._mode["fps"]
+        fps, requested = capture.get(cv2.CAP_PROP_FPS), self._mode["fps"]
         known = 1 <= fps <= 1000
         self.latency = 2 / (fps if known else _USUAL_FPS)
-        if asked and known and abs(fps - asked) > 0.01 * asked:
+        if requested and known and abs(fps - requested) > 0.01 * requested:
             warnings.warn(
-                f"{self.name} has no {asked:g} frames a second at this size; it delivers {fps:g}.", stacklevel=3
+                f"{self.name} has no {requested:g} frames a second at this size; it delivers {fps:g}.", stacklevel=3
             )
         self._capture = capture
 

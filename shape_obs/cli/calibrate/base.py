@@ -57,8 +57,9 @@ class Arguments:
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
     args = parse(Arguments, argv, "shape-obs calibrate base")
-    asked = args.out.with_name(f"{args.out.stem}_touches.csv") if args.touches is None else None
-    check_outputs(args, args.out, asked, hint="" if asked is None else f"; --touches {asked} reads earlier answers")
+    answers = args.out.with_name(f"{args.out.stem}_touches.csv") if args.touches is None else None
+    hint = "" if answers is None else f"; --touches {answers} reads earlier answers"
+    check_outputs(args, args.out, answers, hint=hint)
     from shape_obs.calibration import read_touches
     from shape_obs.calibration.touch_points import sight
 
@@ -66,9 +67,9 @@ def main(argv: Sequence[str]) -> int:
     with warnings_as_lines("shape-obs calibrate base"), open_named(args.source, settings=args.set) as source:
         seen = sight(source, args.frames, args.dictionary, None if args.size is None else args.size / 1000)
         serial = getattr(source, "serial", None)
-    if asked is not None:
+    if answers is not None:
         print(f"visible: markers {', '.join(map(str, seen.markers))}", file=sys.stderr)
-        given = ask_touches(seen.markers, asked)
+        given = ask_touches(seen.markers, answers)
     touches = _visible(given, seen.corners)
     fit = _fitted(touches, seen, serial, args)
     while args.leave_out and fit.suspect is not None:
