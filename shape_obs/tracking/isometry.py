@@ -39,6 +39,7 @@ _STEP: Final = (
 )
 _STEP_SLOPE: Final = 1.5  # metres of depth per metre: steeper than any crease of a cloth in waves (1.0)
 _STEP_NOISE: Final = 4.0  # times the median of the largest steps of all gaps, which is noise
+_FALL_NOISE: Final = 2.0  # times the same: what falls by less at a border may be noise
 _STEEP: Final = 0.55  # radians by which a surface leans at its border, where it may turn away
 _STEEPER: Final = 0.4  # radians more than an eighth of a side farther in
 # Shares that noise and waves explain, and shares from which a sheet is refused. Of 170 simulated cloths that were
@@ -193,13 +194,12 @@ def _look(
     """Return the fields of ``Isometry``; steps are looked for along every other line of the lattice."""
     space, focal, torn, turned, spacing = viewing_rays(lattice, lens), (lens[0] + lens[1]) / 2, 0.0, 0.0, 0.0
     steps, begins = np.zeros((2, FINE // 2, FINE)), np.empty(FINE, np.int64)
-    trends = np.zeros((2, FINE // 2, FINE))
+    trends, falls = np.zeros((2, FINE // 2, FINE)), np.zeros((2, FINE // 2, 2))
     for p in range(len(lattice)):
         z = np.nan if hidden[p] else _depth_at(lattice[p, 0], lattice[p, 1], depth, unit, mask, at)
         for d in range(3):
             space[p, d] *= z
     for down in range(2):
-        away = np.zeros(2)
         for i in range(FINE // 2):
             first, step = (2 * i + 1, FINE) if down else ((2 * i + 1) * FINE, 1)
             nodes = np.arange(first, first + FINE * step, step)
@@ -218,17 +218,20 @@ def _look(
                     rise = abs(along[j + 1] - along[j] - trend)
                     if rise > steps[down, i, k]:
                         steps[down, i, k] = rise
-            away[0] += _turns_away(along, flying, begins[1], begins[3], angle)
-            away[1] += _turns_away(along[::-1], flying, last - begins[_LAST - 1], last - begins[_LAST - 3], angle)
-        turned = max(turned, away.max() / (FINE // 2))
+            ends = last - begins[_LAST - 1], last - begins[_LAST - 3]
+            falls[down, i, 0] = _fall(along, flying, begins[1], begins[3], angle)
+            falls[down, i, 1] = _fall(along[::-1], flying, ends[0], ends[1], angle)
     # A sample is read up to half a pixel from its place: on a slope that is a step too.
     slope = max(np.median(trends[0, :, 1 : _LAST - 1]), np.median(trends[1, :, 1 : _LAST - 1]))
-    limit = max(_STEP, _STEP_NOISE * np.median(steps[:, :, 1 : _LAST - 1]), _STEP_SLOPE * spacing) + slope
+    noise = np.median(steps[:, :, 1 : _LAST - 1])
+    limit = max(_STEP, _STEP_NOISE * noise, _STEP_SLOPE * spacing) + slope
     for down in range(2):
-        lines = 0
+        torn_lines, turned_lines = 0, np.zeros(2)
         for i in range(FINE // 2):
-            lines += (steps[down, i] - trends[down, i]).max() > limit
-        torn = max(torn, lines / (FINE // 2))
+            torn_lines += (steps[down, i] - trends[down, i]).max() > limit
+            for end in range(2):
+                turned_lines[end] += falls[down, i, end] > _FALL_NOISE * noise
+        torn, turned = max(torn, torn_lines / (FINE // 2)), max(turned, turned_lines.max() / (FINE // 2))
     off, gap, short, long = _compare_ways(space, rows, cols)
     return off, gap, short, long, torn, turned
 
@@ -271,8 +274,10 @@ def _profile(
 
 
 @compiled
-def _turns_away(z: Array, flying: int, first: int, third: int, angle: float) -> bool:
-    """Return whether a surface turns away from the camera where its depth ``(P,)`` along a line begins.
+def _fall(z: Array, flying: int, first: int, third: int, angle: float) -> float:
+    """Return by how many metres a surface falls away from the camera where its depth ``(P,)`` along a line begins.
+
+    It is 0 for a surface that is not steep there, or as steep farther in.
 
     Args:
         z: Metres.
@@ -286,7 +291,8 @@ def _turns_away(z: Array, flying: int, first: int, third: int, angle: float) -> 
         border += 1
     inner, place = min(border + max(first // 2, 2), len(z) - 1), z[third] * angle  # metres from place to place
     steep = math.atan((z[border] - z[inner]) / (place * (inner - border)))
-    return steep > _STEEP and steep - math.atan((z[first] - z[third]) / (place * (third - first))) > _STEEPER
+    turns = steep > _STEEP and steep - math.atan((z[first] - z[third]) / (place * (third - first))) > _STEEPER
+    return z[border] - z[inner] if turns else 0.0
 
 
 ISOMETRY_FUNCTIONS: Final = _in_image, _compare_ways

@@ -253,6 +253,13 @@ def test_gentle_waves_are_no_folds(steepest):
         assert shape.quality > 0.8
 
 
+def test_the_noise_of_single_pixels_is_no_fold(towel):
+    depth = np.random.default_rng(0).integers(695, 705, towel.mask.shape, np.uint16)
+    shape = one(towel.mask, depth=depth, camera=Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5))
+    assert shape.ok, shape.reason
+    assert shape.valid.all()
+
+
 def test_epochs_take_the_points_nearer_to_cluster_centres():
     """The cloth is wide at the left and narrow at the right: equal steps along its sides give unequal areas."""
     outline = np.array([[60, 40], [420, 130], [420, 210], [60, 300]], np.int32)

@@ -85,7 +85,7 @@ class _Log(NamedTuple):
             # Declared: the scene is larger than the bounds of the features, or its depth is in a wrong unit.
             warnings.filterwarnings("ignore", message="features: .* values lie outside their bounds")
             warnings.filterwarnings(
-                "ignore", message="(depth|cloud): the object is|.*(Give metres|check the unit|if it is meant)"
+                "ignore", message="stamps: |(depth|cloud): the object is|.*(Give metres|check the unit|if it is meant)"
             )
             try:
                 yield
