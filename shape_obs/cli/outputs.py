@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import sys
 import unicodedata
@@ -12,7 +11,7 @@ from typing import Annotated, Any, Final
 
 from shape_obs.cli.parsing import Option, options_of
 from shape_obs.utils.errors import UsageError
-from shape_obs.utils.files import check_file
+from shape_obs.utils.files import check_file, checksum
 
 #: The option ``--overwrite``, which every command that writes files has.
 Overwrite = Annotated[bool, Option(group="output")]
@@ -55,7 +54,7 @@ def check_outputs(args: Any, *paths: Path | None, hint: str = "") -> None:
                 raise UsageError(f"{path} exists in the folder {folder}, which is read: choose another name or folder.")
         check_file(real[path])
     known = {folder: _manifest(folder) for folder in {real[path].parent for path in existing}}
-    unchanged = {path: known[at.parent].get(at.name) == _digest(at) for path, at in real.items() if path in existing}
+    unchanged = {path: known[at.parent].get(at.name) == checksum(at) for path, at in real.items() if path in existing}
     kept = [path for path in existing if not args.overwrite and not unchanged[path]]
     if kept:
         names = ", ".join(map(str, kept[:3])) + (f" and {len(kept) - 3} more" if len(kept) > 3 else "")
@@ -66,7 +65,7 @@ def check_outputs(args: Any, *paths: Path | None, hint: str = "") -> None:
 def note_output(path: Path) -> None:
     """Add a file to the manifest of its folder, so that a later run may replace it as long as it is unchanged."""
     with (path.parent / MANIFEST).open("a", encoding="utf-8") as manifest:
-        manifest.write(f"{_digest(path)}  {path.name}\n")
+        manifest.write(f"{checksum(path)}  {path.name}\n")
 
 
 def _manifest(folder: Path) -> dict[str, str]:
@@ -97,7 +96,3 @@ def _identity(path: str | Path) -> tuple[int, int]:
     """Return what all names of a file have in common, also those of links."""
     found = os.stat(path)
     return found.st_dev, found.st_ino
-
-
-def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -24,6 +23,7 @@ from shape_obs.recording.replay import check_depth
 from shape_obs.recording.table import Column, step_columns
 from shape_obs.shape import Detection
 from shape_obs.source import RGBDSource
+from shape_obs.utils.files import checksum
 from shape_obs.utils.threads import one_thread
 
 _POINT_AXES: Final = {"points2d": 2, "points3d": 3}
@@ -58,7 +58,7 @@ class Extraction:
 
         All parts of a dataset were made with equal values.
         """
-        pose = None if self.extrinsics is None else hashlib.sha256(self.extrinsics.read_bytes()).hexdigest()
+        pose = None if self.extrinsics is None else checksum(self.extrinsics)
         return {
             "shape_obs": __version__,
             "algorithm": ALGORITHM,

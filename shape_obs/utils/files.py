@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import secrets
 import stat
@@ -134,6 +135,11 @@ def finish_file(temporary: Path, path: Path) -> None:
         temporary.chmod(stat.S_IMODE(target.stat().st_mode))
     temporary.replace(target)
     _sync_folder(target.parent)
+
+
+def checksum(path: Path) -> str:
+    """Return the SHA-256 of a file's content, as hexadecimal digits."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def check_file(path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import secrets
 import shutil
@@ -19,7 +18,7 @@ from shape_obs.extraction.lerobot.writer import Episode, LeRobotSummary, LeRobot
 from shape_obs.extraction.task import Task
 from shape_obs.recording import ShapeTable
 from shape_obs.utils.documents import read_json
-from shape_obs.utils.files import make_folder, write_text
+from shape_obs.utils.files import checksum, make_folder, write_text
 
 _FOLDERS: Final = ("data", "videos", "meta")
 #: In the folder of the extraction: the checksum of the dataset's ``meta/info.json``.
@@ -103,7 +102,7 @@ def write_lerobot(
         summary = writer.close(task, robot)
         for name in reversed(_FOLDERS):  # without meta the rest is no dataset
             shutil.rmtree(out / name, ignore_errors=True)
-        made = {_INFO: _digest(folder / _INFO), "task": task, "fps": chosen}
+        made = {_INFO: checksum(folder / _INFO), "task": task, "fps": chosen}
         write_text(manifest, json.dumps(made) + "\n")
         for name in _FOLDERS:
             if (folder / name).exists():
@@ -122,17 +121,13 @@ def check_lerobot_folder(out: Path, extraction: Path) -> None:
     there = [name for name in _FOLDERS if (out / name).exists()]
     manifest, info = extraction / _MANIFEST, out / _INFO
     if not there or (
-        manifest.exists() and (not info.exists() or read_json(manifest, "manifest").get(_INFO) == _digest(info))
+        manifest.exists() and (not info.exists() or read_json(manifest, "manifest").get(_INFO) == checksum(info))
     ):
         return
     raise FileExistsError(
         f"{out / there[0]} was not written by this command, or was changed since: give --overwrite to replace "
         f"{', '.join(there)}, or choose another folder."
     )
-
-
-def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _nominal(rate: float) -> float:
