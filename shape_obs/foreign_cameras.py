@@ -109,6 +109,9 @@ def _realsense(get: Get) -> Fields:
             f"camera: the lens model is {name!r}, expected one of librealsense's {', '.join(_REALSENSE)}: {_RECTIFY}."
         )
     values = {ours: get(theirs) for ours, theirs in _NAMES.items()}
+    for ours, theirs in _NAMES.items():
+        if get(ours) not in (None, values[ours]):
+            raise ValueError(f"camera: {ours} is {get(ours)!r} and {theirs} {values[ours]!r}: leave one out.")
     return {**values, "model": _REALSENSE[name], "coeffs": coefficients if name != "none" else 5 * (0.0,)}
 
 

@@ -171,6 +171,7 @@ def test_sources_calibration_and_features_take_them_too():
         ({**SIZE, "K": K, "distortion": {"k1": 0.1}}, "numbers as D"),
         (SimpleNamespace(**SIZE, K=K, coeffs=D), "'coeffs' next to K"),
         (K + [[0, 0.1, 0], [0, 0, 0], [0, 0, 0]], "expected K as"),
+        ({**REALSENSE, "model": "none", "cx": 320.0}, "cx is 320.0 and ppx 319.0"),
         ({**REALSENSE, "model": "distortion.kannala_brandt4"}, "lens model is 'kannala_brandt4'"),
         ({"intrinsics": PINHOLE, "transform": np.eye(4)}, "did you mean 'transform_camera_to_base'"),
         ({**SIZE, "fx": 600.0}, "missing fy"),

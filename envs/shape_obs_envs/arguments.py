@@ -37,6 +37,16 @@ def positive(name: str, value: Any, default: str, what: str = "a distance in met
     return float(value)
 
 
+def above_zero(name: str, value: Any) -> None:
+    """Check that ``value`` is a number above 0, infinity included; None is the default and passes.
+
+    Raises:
+        ValueError: It is not.
+    """
+    if value is not None and not (isinstance(value, (int, float, np.number)) and value > 0):
+        raise ValueError(f"{name}: expected more than 0, a number, got {value!r}.")
+
+
 def count(name: str, value: Any, least: int, most: int | None = None) -> int:
     """Return ``value`` as an int if it is a whole number within its limits.
 

@@ -77,10 +77,8 @@ def main(argv: Sequence[str]) -> int:
     args = parse(Arguments, argv, "shape-obs detect", _check)
     check_outputs(args, *(_overlay(args, path) for path in args.images), args.save_config if args.pick else None)
     from shape_obs.detector import ShapeDetector
-    from shape_obs.utils.files import make_folder
 
     detector = ShapeDetector(**_detector_arguments(args))
-    make_folder(args.out)
     failed = 0
     for i, path in enumerate(_with_progress(args.images)):
         with warnings_as_lines("shape-obs detect"):
@@ -188,6 +186,7 @@ def _detector_arguments(args: Arguments) -> dict[str, Any]:
     from shape_obs.config.config_file import detector_arguments, load_config, save_config
     from shape_obs.configurations.base import Configuration
     from shape_obs.image.segmentation import HSVRange
+    from shape_obs.utils.files import make_folder
 
     arguments: dict[str, Any]
     if args.config is not None:
@@ -206,6 +205,7 @@ def _detector_arguments(args: Arguments) -> dict[str, Any]:
     if args.n is not None or args.count is not None:
         shapes = map(Configuration.from_dict, arguments.get("shapes", [{"kind": "centerline"}]))
         arguments["shapes"] = [_changed(shape, args) for shape in shapes]
+    make_folder(args.out)  # --save-config may lie in it
     if args.pick:
         save_config(args.save_config, arguments)
         print(f"shape-obs detect: wrote {args.save_config}", file=sys.stderr)

@@ -84,11 +84,8 @@ def check_source(text: str, option: str = "--source") -> None:
     """Report a file that does not exist before the libraries are imported that would read it.
 
     Raises:
-        UsageError: ``text`` is an option that the command does not have, which some versions of tyro pass on.
         FileNotFoundError: ``text`` is the name of a file, and there is none.
     """
-    if text.startswith("-"):
-        raise UsageError(f"unknown option {text}; `--help` lists the options.")
     if ":" not in text and Path(text).suffix and not Path(text).exists():
         raise FileNotFoundError(f"{text}: no such file.")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import re
 import shutil
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -22,6 +23,7 @@ import tyro
 from shape_obs.utils.errors import UsageError
 
 T = TypeVar("T")
+_OPTION: Final = re.compile(r"--(?!tyro-)[a-z][a-z0-9-]*")
 _NO_DEFAULT: Final = ("", "None", "False")  # what tyro would print as "(default: None)"
 
 
@@ -102,10 +104,11 @@ def parse(arguments: type[T], argv: Sequence[str], prog: str, check: Callable[[T
         check: Raises UsageError for arguments that do not go together.
 
     Raises:
-        UsageError: A value is out of range, or a list that needs a value is empty.
+        UsageError: An option is unknown, a value is out of range, or a list that needs a value is empty.
         FileNotFoundError: A file that must exist does not.
     """
     options = options_of(arguments)
+    _check_names(arguments, options, argv)
     parser, paths = _parser(arguments, options)
     found = tyro.cli(
         parser,
@@ -125,6 +128,20 @@ def parse(arguments: type[T], argv: Sequence[str], prog: str, check: Callable[[T
     for name, option in options.items():
         option.check_file(values[name])
     return args
+
+
+def _check_names(arguments: type, options: Mapping[str, Option], argv: Sequence[str]) -> None:
+    """Report an unknown option by name; tyro lists its values and what follows as unknown too."""
+    names = [f"--{_name(each)}" for each in fields(arguments)]
+    also = [option.short for option in options.values()] + [f"--no-{name[2:]}" for name in names]
+    for word in argv:
+        name = word.partition("=")[0].replace("_", "-")
+        if _OPTION.fullmatch(name) and name not in (*names, *also, "--help"):
+            from difflib import get_close_matches  # only errors need it
+
+            near = get_close_matches(name, names, n=1, cutoff=0.7)
+            hint = f"; did you mean {near[0]}?" if near else "."
+            raise UsageError(f"unknown option {name}{hint} `--help` lists the options.")
 
 
 @contextmanager

@@ -67,7 +67,7 @@ class Coordinates:
             low, high = np.full(2, -1.0), np.full(2, 1.0)
         elif self.frame == "base" and context.workspace is not None:
             self._camera(context)
-            low, high = _corners(context.workspace)
+            low, high = workspace_corners(context.workspace)
         else:
             camera = self._camera(context)
             seen = _frustum(camera, self.max_depth)
@@ -225,15 +225,18 @@ class Geometric(Framed):
     max_depth: float = 2.0
 
 
-def _corners(workspace: Any) -> Array:
-    """Return the corners (low, high) of a workspace, of shape ``(2, 3)``, metres."""
+def workspace_corners(workspace: Any) -> Array:
+    """Return the corners (low, high) of a workspace, of shape ``(2, 3)``, metres.
+
+    Raises:
+        ValueError: It is something else.
+    """
     try:
         corners = np.asarray(workspace, dtype=np.float64)
     except (TypeError, ValueError):
         corners = np.empty(0)
     if corners.shape != (2, 3):
         raise ValueError(f"workspace: expected (low, high), two corners (x, y, z) in metres, got {workspace!r:.200}.")
-    warn_unless_metres("workspace", corners)
     return corners
 
 

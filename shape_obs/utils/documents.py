@@ -207,7 +207,7 @@ def make_named(text: str, what: str, arguments: Mapping[str, Any] | None = None)
     """Call the class or function that ``module:Name`` refers to, with keyword arguments.
 
     Raises:
-        ValueError: The object cannot be called, or does not take these arguments.
+        ValueError: The object cannot be called, does not take these arguments, or fails without saying more.
     """
     maker = load_named(text, what)
     if not callable(maker):
@@ -217,6 +217,10 @@ def make_named(text: str, what: str, arguments: Mapping[str, Any] | None = None)
     except TypeError as error:
         hint = hint_at_argument(error, maker)
         raise ValueError(f"{what}: {text} does not take {dict(arguments or {})}: {error}{hint}") from error
+    except (ValueError, OSError, ImportError):
+        raise
+    except Exception as error:
+        raise ValueError(f"{what}: {text} cannot be made: {type(error).__name__}: {error}") from error
 
 
 def is_of_script(path: str) -> bool:

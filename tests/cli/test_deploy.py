@@ -98,6 +98,7 @@ def test_sigterm_ends_the_command_with_a_report_and_its_own_exit_code(tmp_path):
             "did you mean 'Sway'",
         ),
         ([*CELL, "--goal", "none.yaml"], 1, "none.yaml: no such goal file"),
+        ([*CELL, "--robot-set", "sede=1"], 2, "did you mean 'seed'? Known: env, "),
         ([*CELL, "--workspace-low", "0"], 2, "--workspace-low and --workspace-high: give both"),
         ([*CELL, "--max-step", "0.01"], 1, "max_step: expected 6 numbers"),
     ],

@@ -158,7 +158,7 @@ def test_a_surface_has_rows_and_columns(tmp_path, run):
 
 
 def test_an_outline_has_a_number_of_points_and_the_config_keeps_it(tmp_path, run):
-    photo, config = towel(tmp_path), tmp_path / "c.yaml"
+    photo, config = towel(tmp_path), tmp_path / "o" / "c.yaml"  # in the folder that it makes
     place = ["--out", tmp_path / "o"]
     learned = ["--pick", "150,120", "--shape", "contour", "--n", "16", "--save-config", config]
     code, out, _ = run("detect", photo, *learned, *place)

@@ -73,8 +73,9 @@ GIVEN = {
 
 @pytest.mark.parametrize(("what", "give"), [(name.removesuffix(" of"), give) for name, give in GIVEN.items()])
 def test_millimetres_are_named_and_metres_are_not(what, give):
-    with pytest.warns(UserWarning, match=f"{what}.*millimetres"):
+    with pytest.warns(UserWarning, match=f"{what}.*millimetres") as caught:
         give(1000)
+    assert len({str(each.message) for each in caught}) == len(caught)  # each of them once
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         give(1)

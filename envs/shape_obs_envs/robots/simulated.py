@@ -15,11 +15,13 @@ import numpy.typing as npt
 from shape_obs.camera import CameraModel
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.robot import ActionSpec, RobotError
+from shape_obs.utils.errors import hint_at_argument
 from shape_obs_envs.arguments import count
 from shape_obs_envs.robots.frame_publisher import Faults, FramePublisher, SimulationSpec, Started, check_occluder
 from shape_obs_envs.robots.null import checked_motion
 from shape_obs_envs.robots.simulation_loop import Ramp, RealtimeSimulation
 from shape_obs_envs.robots.simulation_process import SimulationProcess
+from shape_obs_envs.sources.env import class_of
 from shape_obs_envs.sources.realsense import RealSenseSource, SoftwareD455
 
 Array = npt.NDArray[np.float64]
@@ -89,7 +91,12 @@ class SimulatedRobot:
         if seed is not None:
             seed = count("seed", seed, 0)
         self._ramp_seconds = float(ramp)
-        self._model = RealtimeSimulation(env, **options)  # for its metadata and goals only; it does not run
+        try:
+            self._model = RealtimeSimulation(env, **options)  # for its metadata and goals only; it does not run
+        except TypeError as error:
+            cause = error.__cause__ or error  # Gymnasium's own message repeats all arguments
+            hint = hint_at_argument(cause, SimulatedRobot, class_of(env))
+            raise ValueError(f"robot: {env} does not take {options}: {cause}{hint}") from error
         self.camera = SoftwareD455(fps=round(fps)) if camera is None else camera
         self._spec = SimulationSpec(env, self.camera.geometry, float(fps), seed, bool(noise), options)
         self.action_spec = self._model.env.action_spec

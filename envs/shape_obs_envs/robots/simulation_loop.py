@@ -74,6 +74,7 @@ class RealtimeSimulation:
 
     Raises:
         ValueError: The environment is not a simulated one, or an argument is out of its range.
+        TypeError: It does not take an argument.
 
     Attributes:
         env: The environment.
@@ -84,7 +85,7 @@ class RealtimeSimulation:
         # Images are drawn on demand, not at each reset.
         try:
             made = gym.make(env, **{"camera": "d455", **options, "render_observation": False}).unwrapped
-        except (gym.error.Error, TypeError) as error:  # unknown id, or unknown argument
+        except gym.error.Error as error:
             raise ValueError(f"env: {env!r} with {options} is not a simulated environment: {error}") from error
         if not isinstance(made, ShapeGoalEnv):
             raise ValueError(f"env: expected a simulated environment such as 'ShapeObs/Cable-v0', got {env!r}.")

@@ -189,7 +189,7 @@ class EnvSource(SequenceSource):
             kind = SourceError if not self._options or isinstance(error, (ImportError, RuntimeError)) else BadSettings
             cause = error.__cause__ or error  # Gymnasium's own message repeats all arguments
             name = "" if isinstance(cause, (ValueError, TypeError, gym.error.Error)) else f"{type(cause).__name__}: "
-            hint = hint_at_argument(cause, EnvSource, _class_of(self._given))
+            hint = hint_at_argument(cause, EnvSource, class_of(self._given))
             raise kind(f"{self._given}: the environment cannot be made: {name}{cause}{hint}") from error
 
     def _connected_env(self) -> gym.Env[Any, Any]:
@@ -198,7 +198,7 @@ class EnvSource(SequenceSource):
         return self._env
 
 
-def _class_of(env_id: str) -> Any:
+def class_of(env_id: str) -> Any:
     """Return the class or function that makes an environment; None if there is none."""
     try:
         entry = gym.spec(env_id).entry_point

@@ -18,6 +18,7 @@ from shape_obs.camera import CameraModel, Intrinsics, as_intrinsics
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
 from shape_obs.source import CameraLost, FrameTimeout, NotConnected, Source, SourceError, StaleFrame
+from shape_obs_envs.arguments import above_zero
 
 #: Time in seconds that the thread lets ``grab`` wait, and waits itself after one that did not.
 _SLICE: Final = 0.2
@@ -155,8 +156,7 @@ class LiveSource(Source):
     ) -> None:
         super().__init__(extrinsics)
         for argument, value in (("buffer", buffer), ("patience", patience)):
-            if not value > 0:
-                raise ValueError(f"{argument}: expected more than 0, got {value!r}.")
+            above_zero(argument, value)
         self.name, self.kind = name, name.partition(":")[0]
         self.lens = None
         self.latency = 0.1

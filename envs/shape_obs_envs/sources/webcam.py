@@ -19,6 +19,7 @@ from shape_obs.camera import CameraLike, as_intrinsics
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
 from shape_obs.source import CameraNotFound, SourceError
+from shape_obs_envs.arguments import above_zero
 from shape_obs_envs.sources.live import LiveSource
 from shape_obs_envs.sources.rectification import Rectification
 
@@ -86,8 +87,7 @@ class WebcamSource(LiveSource):
         if is_stream(text) and (fourcc is not None or any(value is not None for value in self._mode.values())):
             raise ValueError(f"webcam:{text}: a stream has its own size, rate and format; leave them out.")
         for name, value in self._mode.items():
-            if value is not None and not value > 0:
-                raise ValueError(f"{name}: expected more than 0, got {value!r}.")
+            above_zero(name, value)
         if fourcc is not None and len(str(fourcc)) != 4:
             raise ValueError(f"fourcc: expected four characters, such as MJPG, got {fourcc!r}.")
         self._fourcc = fourcc

@@ -214,7 +214,9 @@ def training_spec(env: Any) -> EnvSpec:
             json.dumps(dict(wrapper.kwargs or {}))
         described = json.loads(json.dumps(to_dict(replace(spec, additional_wrappers=kept))))
     except (TypeError, ValueError) as error:
-        raise BundleError(f"{place}: its arguments cannot be written as JSON: {error}") from error
+        raise BundleError(
+            f"{place}: its arguments cannot be written as JSON: {error}: give plain numbers and texts."
+        ) from error
     return from_dict(described, trust=True)
 
 

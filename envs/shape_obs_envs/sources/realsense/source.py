@@ -15,7 +15,7 @@ from shape_obs.camera import Intrinsics
 from shape_obs.extrinsics import Extrinsics
 from shape_obs.frame import Frame
 from shape_obs.source import NotConnected, Source, StaleFrame
-from shape_obs_envs.arguments import count
+from shape_obs_envs.arguments import above_zero, count
 from shape_obs_envs.sources.realsense.devices import Device, RecordingFile, SoftwareCameras, UsbCamera
 from shape_obs_envs.sources.realsense.driver import librealsense, recording_suffix
 from shape_obs_envs.sources.realsense.frame_streams import FileStream, FrameStream, LiveStream
@@ -117,8 +117,7 @@ class RealSenseSource(Source):
         if recording is not None and (device is not None or serial is not None or record_to is not None):
             raise ValueError("recording: a file is read instead of a camera; do not give device, serial or record_to.")
         for name, number in (("buffer", buffer), ("patience", patience), ("recover_timeout", recover_timeout)):
-            if not number > 0:
-                raise ValueError(f"{name}: expected more than 0, got {number}.")
+            above_zero(name, number)
         if not MODEL.fullmatch(model):
             raise ValueError(f"model: expected a camera of the D400 series, such as 'd455' or 'd435', got {model!r}.")
         check_filters(filters)
