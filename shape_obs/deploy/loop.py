@@ -142,7 +142,7 @@ class _Run:
         interlock = self._robot_env.interlock
         expired, ended, failed = interlock.expired, "", True
         try:
-            with ending(interlock.stop):
+            with ending(interlock.end):
                 ended, failed = self._checked_loop(steps, seconds, until_reached)
         except Interrupted as interrupted:
             ended, failed = str(interrupted), False
@@ -163,7 +163,7 @@ class _Run:
             if self._log is not None:
                 self._log.report(self.report.to_dict())
         if self._record is not None and self._robot_env.frame is not None:  # the frame after the last step
-            self._record.frame(self._robot_env.frame, self._robot_env.robot.state())
+            self._record.frame(self._robot_env.frame, self._robot_env.interlock.state())
             self._record.write()
         return self.report
 
@@ -210,7 +210,7 @@ class _Run:
         robot_env, tally, info = self._robot_env, self._tally, self._info
         frame, seen_at, begin = robot_env.frame, robot_env.seen_at, self._clock.now()
         detection: Detection = self._env.get_wrapper_attr("detection")
-        source, state = sum(getattr(robot_env.source, "timings", {}).values()), robot_env.robot.state()
+        source, state = sum(getattr(robot_env.source, "timings", {}).values()), robot_env.interlock.state()
         if self._record is not None:
             self._record.frame(frame, state)
         action = None

@@ -74,7 +74,7 @@ class SignalStop:
                 raise
             self.raising = False
             interrupted = Interrupted(self.received[0])
-            if not isinstance(error, SystemError):
+            if not isinstance(error, SystemError) and str(interrupted) not in str(error):
                 add_later(interrupted, error)
             raise interrupted from error
 
@@ -143,7 +143,7 @@ def supervised(env: gym.Env[Any, Any], *, park: bool = True, close: bool = True)
         RobotError: The robot cannot be stopped or parked.
     """
     interlock = env.unwrapped.interlock  # pyright: ignore[reportAttributeAccessIssue]
-    steps: list[Callable[[], object]] = [interlock.stop]
+    steps: list[Callable[[], object]] = [interlock.end]
     with SignalStop(interlock.trip) as signals:
         if park:
             steps.append(lambda: _park(interlock, signals))

@@ -110,13 +110,14 @@ def test_an_action_that_took_too_long_is_not_sent_counts_as_held_and_the_control
     assert withheld == [2]
 
 
-@pytest.mark.parametrize("fault", ["stalls", "is unplugged", "robot"])
+@pytest.mark.parametrize("fault", ["stalls", "is unplugged", "robot", "driver"])
 def test_a_camera_or_a_robot_that_fails_ends_the_run_and_the_robot_is_stopped_and_parked(fault):
-    env, robot, camera = cell()
+    env, robot, camera = cell(FakeRobot(foreign=fault == "driver"))
     act, ended = {
         "stalls": (camera.stall, "no frame in"),
         "is unplugged": (camera.unplug, "it was unplugged"),
         "robot": (lambda: robot.broken.add("send"), "the robot is in an emergency stop"),
+        "driver": (lambda: robot.broken.add("send"), "robot.send: RuntimeError: send: the robot is in an emergency"),
     }[fault]
     report = deploy(env, Always({2: act}), steps=100)
     assert report.failed

@@ -123,7 +123,9 @@ def test_outside_the_main_thread_it_runs_without_signals():
 @pytest.mark.parametrize(
     ("camera", "robot", "code", "message"),
     [
-        ("rope", "broken=[connect,stop,park]", 1, "connect: the robot .*; then: stop: the robot"),
+        ("rope", "broken=[connect,stop,park]", 1, "connect: the robot [^;]*$"),
+        ("rope", "broken=[reset] foreign=true", 1, "deploy: robot.reset: RuntimeError: reset: the robot [^;]*$"),
+        ("rope", "broken=[__init__] foreign=true", 2, "fake_cell:Robot cannot be made: RuntimeError: __init__"),
         ("unplugged", "broken=[stop,park,disconnect]", 1, "not plugged in; then: stop: the .*; then: disconnect: the"),
         ("unplugged", "size=2 --goal robot --episodes 2", 1, "deploy: fake camera: it is not plugged in$"),
         ("rope", "broken=[reset,park]", 1, "deploy: reset: the robot .*; then: park: the robot"),
@@ -133,7 +135,7 @@ def test_outside_the_main_thread_it_runs_without_signals():
             "rope",
             "signals={connect:\u00a0SIGTERM} broken=[connect,stop]",
             143,
-            "SIGTERM; then: connect: .* then: stop:",
+            "SIGTERM; then: connect: [^;]*$",
         ),
         ("rope", "signals={reset:\u00a0SIGTERM} broken=[park]", 143, "deploy: interrupted by SIGTERM; then: park: the"),
         ("rope", "signals={__init__:\u00a0SIGTERM} broken=[__init__]", 143, "deploy: interrupted by SIGTERM$"),
@@ -158,6 +160,8 @@ def test_a_start_that_fails_moves_nothing_and_shows_the_first_error_first(
     assert re.search(message, err.strip()), err
     for made in robots:
         assert "reset" in made.attempts or not {"park", "send"} & set(made.attempts)
+        stops = made.attempts.count("stop") - made.attempts.count("park")  # a motion of its own
+        assert stops <= ("connect" in made.calls) + bool(re.search("signals={(reset|park)", robot))  # stops at once
 
 
 def test_sigterm_ends_a_recording_as_ctrl_c_does(run, monkeypatch, tmp_path):

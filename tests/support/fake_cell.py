@@ -33,6 +33,7 @@ class FakeRobot:
         times: Name and time of each call.
         slow: Name of a call -> seconds that it takes the next time.
         broken: Names of calls that raise ``RobotError``.
+        foreign: Whether they raise what a driver of others does instead.
         attempts: Names of the calls, also of those that failed.
         signals: Name of a call -> signal that comes during it.
     """
@@ -46,6 +47,7 @@ class FakeRobot:
         clock: Clock | None = None,
         broken: Iterable[str] = (),
         signals: Mapping[str, str] | None = None,
+        foreign: bool = False,
         **spec: Any,
     ) -> None:
         given = {"scale": size * [0.01], "low": size * [-0.1], "high": size * [0.1], "units": size * ["m"], **spec}
@@ -56,6 +58,7 @@ class FakeRobot:
         self.slow: dict[str, float] = {}
         self.broken, self.signals = set(broken), dict(signals or {})
         self.attempts: list[str] = []
+        self.foreign = foreign
         self._call("__init__")
 
     @property
@@ -74,7 +77,7 @@ class FakeRobot:
                 signal.raise_signal(getattr(signal, self.signals[name]))
         finally:  # a driver may turn any exception into one of its own
             if name in self.broken:
-                raise RobotError(f"{name}: the robot is in an emergency stop")
+                raise (RuntimeError if self.foreign else RobotError)(f"{name}: the robot is in an emergency stop")
         if name not in ("state", "__init__"):
             self.times.append((name, self.clock.now()))
 

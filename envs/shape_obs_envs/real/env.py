@@ -223,10 +223,8 @@ class D455Env(gym.Env[Any, Any]):
 
     def close(self) -> None:
         """Stop the robot and disconnect without moving it. A later ``reset`` connects again."""
-        if self.robot is None or self.interlock is None:
-            self._abandon()
-            return
-        with ending(self.interlock.close, self.robot.disconnect):
+        last = [] if self.interlock is None else [self.interlock.close]
+        with ending(*last):
             self._abandon()
 
     # ---- published
@@ -238,9 +236,8 @@ class D455Env(gym.Env[Any, Any]):
             SourceError: The camera is not available; the subclass and the message give the reason.
             RobotError: The robot is not available.
         """
-        if self.robot is not None and self.interlock is not None:
-            self.interlock.arm()
-            self.robot.connect()
+        if self.interlock is not None:
+            self.interlock.connect()
         self._reader.connect()
 
     @property
@@ -270,12 +267,12 @@ class D455Env(gym.Env[Any, Any]):
 
     def _send(self, action: Any) -> None:
         self.guarded, self.withheld = None, ""
-        if self.robot is None or self.guard is None or self.interlock is None:
+        if self.guard is None or self.interlock is None:
             return
         if action is None:
             self.interlock.stop()
             return
-        self.guarded = self.guard.motion(action, self.robot.state())
+        self.guarded = self.guard.motion(action, self.interlock.state())
         self.withheld = self.interlock.send(self.guarded.motion, self._exposed + self.max_age)
 
     def _wait_for_frame(self) -> Frame:
@@ -294,8 +291,8 @@ class D455Env(gym.Env[Any, Any]):
 
     def _observe(self) -> Observation:
         images = self._reader.images(self.frame)
-        if self.robot is not None and self._reach is not None:
-            position = np.asarray(self.robot.state(), np.float32)
+        if self.interlock is not None and self._reach is not None:
+            position = np.asarray(self.interlock.state(), np.float32)
             images["robot"] = np.clip(position, self._reach.low, self._reach.high)
         return images
 
@@ -312,4 +309,4 @@ class D455Env(gym.Env[Any, Any]):
         """Stop the robot and disconnect the camera, so that the next reset reconnects."""
         with ending(self.source.disconnect):
             if self.interlock is not None:
-                self.interlock.stop()
+                self.interlock.end()

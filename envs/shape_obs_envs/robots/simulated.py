@@ -95,8 +95,8 @@ class SimulatedRobot:
             self._model = RealtimeSimulation(env, **options)  # for its metadata and goals only; it does not run
         except TypeError as error:
             cause = error.__cause__ or error  # Gymnasium's own message repeats all arguments
-            hint = hint_at_argument(cause, SimulatedRobot, class_of(env))
-            raise ValueError(f"robot: {env} does not take {options}: {cause}{hint}") from error
+            hint = hint_at_argument(cause, SimulatedRobot, class_of(env)) if options else ""
+            raise ValueError(f"env: {env!r} with {options} is not a simulated environment: {cause}{hint}") from error
         self.camera = SoftwareD455(fps=round(fps)) if camera is None else camera
         self._spec = SimulationSpec(env, self.camera.geometry, float(fps), seed, bool(noise), options)
         self.action_spec = self._model.env.action_spec

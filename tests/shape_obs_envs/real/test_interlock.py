@@ -30,23 +30,27 @@ def clock(robot):
 
 @pytest.fixture
 def interlock(robot, clock):
-    return Interlock(robot, clock)
+    interlock = Interlock(robot, clock)
+    interlock.connect()
+    robot.times.clear()
+    return interlock
 
 
 def test_in_real_time_a_thread_ends_a_motion_and_a_close_ends_the_thread():
     robot = FakeRobot(clock=CLOCK)
     interlock = Interlock(robot)
+    interlock.connect()
     interlock.send(MOTION, time.monotonic() + 9)
     until = time.monotonic() + 0.1
     assert interlock.send(MOTION, until) == "", "a sooner end wakes the thread"
     while "stop" not in robot.calls and time.monotonic() < until + 5:  # the loop is blocked
         time.sleep(0.01)
-    assert robot.calls == ["send", "send", "stop"]
+    assert robot.calls == ["connect", "send", "send", "stop"]
     assert 0 <= robot.when("stop")[0] - until < 0.5
     interlock.send(MOTION, time.monotonic() + 9)
     interlock.close()
     assert "motion end" not in [thread.name for thread in threading.enumerate()]
-    assert (robot.calls, interlock.expired) == (["send", "send", "stop", "send"], 1)
+    assert (robot.calls, interlock.expired) == (["connect", "send", "send", "stop", "send", "disconnect"], 1)
 
 
 def test_a_motion_that_nothing_replaces_ends_on_time(interlock, robot, clock):
