@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import numbers
 from dataclasses import dataclass, field
+from datetime import timedelta
 from functools import cached_property
 from typing import Any, Final
 
@@ -13,7 +14,7 @@ import numpy.typing as npt
 
 from shape_obs.camera import CameraModel, as_camera_model
 from shape_obs.utils.array_like import plain_array
-from shape_obs.utils.image_layout import advice, apply, steps_to_depth, steps_to_rgb
+from shape_obs.utils.image_layout import advice, apply, is_depth, steps_to_depth, steps_to_rgb
 
 MILLIMETRE: Final = 1e-3  # metres; the unit of depth in whole numbers
 FARTHEST: Final = 1e6  # metres; what lies beyond is garbage, and would overflow single precision
@@ -38,7 +39,7 @@ class Frame:
             converted here.
         camera: The camera model, or what ``as_camera_model`` makes one of; needed for 3D and for anchors in the base
             frame.
-        stamp: Seconds; None when the source has no clock.
+        stamp: Seconds, or a time difference of NumPy or ``datetime``; None when the source has no clock.
         received: When it reached this machine: ``time.monotonic()``, seconds; None if unknown.
         number: The source's own count of its frames; gaps are missed frames. None if it does not count.
         exposed: The earliest time at which its exposure can have begun: ``time.monotonic()``, seconds; None if unknown.
@@ -87,6 +88,9 @@ class Frame:
                     f"the image has {image.shape[1]} x {image.shape[0]}: "
                     "give the intrinsics of this stream."
                 )
+        if isinstance(stamp, (timedelta, np.timedelta64)):
+            stamp = float(np.timedelta64(stamp) / np.timedelta64(1, "s"))
+            object.__setattr__(self, "stamp", stamp)
         if stamp is not None and not isinstance(stamp, numbers.Real):
             raise TypeError(f"stamp must be a number of seconds, got {stamp!r}.")
         if stamp is not None and not math.isfinite(stamp):
@@ -125,6 +129,8 @@ def depth_images(depth: npt.NDArray[Any] | None) -> DepthImages:
 
 def _as_stored(depth: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return depth as uint16 or float32, C-contiguous; itself if it is."""
+    if depth.dtype == np.int16:
+        depth = np.maximum(depth, 0).astype(_WORD)
     if depth.dtype != _WORD and depth.dtype != _SINGLE:
         with np.errstate(over="ignore"):  # what overflows becomes infinite, which is no depth
             depth = depth.astype(np.float32)
@@ -133,7 +139,7 @@ def _as_stored(depth: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 def depth_in_metres(depth: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     """Convert depth values to metres, NaN where invalid; for the few values that a stage reads, not for images."""
-    metres = depth.astype(np.float64) * (MILLIMETRE if depth.dtype == np.uint16 else 1.0)
+    metres = depth.astype(np.float64) * (MILLIMETRE if depth.dtype.kind in "iu" else 1.0)
     metres[~((metres > 0) & (metres < FARTHEST))] = np.nan
     return metres
 
@@ -152,12 +158,10 @@ def _checked_rgb(given: Any) -> npt.NDArray[np.uint8]:
 
 def _checked_depth(given: Any) -> npt.NDArray[Any]:
     depth = plain_array(given, "depth", masked=0)
-    if isinstance(depth, np.ndarray) and depth.dtype == np.int16:
-        depth = np.maximum(depth, 0).astype(np.uint16)
-    if not isinstance(depth, np.ndarray) or not (depth.dtype == _WORD or np.issubdtype(depth.dtype, np.floating)):
+    if not isinstance(depth, np.ndarray) or not is_depth(depth.dtype):
         whole = isinstance(depth, np.ndarray) and depth.dtype.kind in "iu"
         hint = "; of whole millimetres give depth.astype(np.uint16)" if whole else ""
-        raise TypeError(f"depth: expected uint16 millimetres or floating metres, got {_describe(depth)}{hint}.")
+        raise TypeError(f"depth: expected 16-bit millimetres or floating metres, got {_describe(depth)}{hint}.")
     if depth.ndim != 2 or depth.size == 0:
         steps = steps_to_depth(depth.shape)
         if steps is None:

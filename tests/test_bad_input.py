@@ -63,7 +63,7 @@ def far(mask: np.ndarray, metres: float = 0.7) -> np.ndarray:
         ({"rgb": [[1, 2, 3]]}, TypeError, "rgb: expected a numpy array of uint8 .0...255., got list"),
         ({"rgb": np.zeros((9, 9, 3))}, TypeError, "got an array of float64; scale floats in 0...1 by 255"),
         ({"rgb": np.zeros((9, 9), np.uint8)}, ValueError, r"rgb: expected shape \(H, W, 3\), RGB order, got \(9, 9\)"),
-        ({"depth": np.zeros((240, 320), np.int32)}, TypeError, "depth: expected uint16 millimetres or floating"),
+        ({"depth": np.zeros((240, 320), np.int32)}, TypeError, "depth: expected 16-bit millimetres or floating"),
         ({"depth": np.zeros((240, 320, 3), np.float32)}, ValueError, r"depth: expected shape \(H, W\), got \(240"),
         ({"depth": np.zeros((480, 640), np.uint16)}, ValueError, "depth has 640 x 480 pixels, rgb has 320 x 240 pixel"),
         ({"camera": Intrinsics(640, 480, 1, 1, 0, 0)}, ValueError, "intrinsics are for 640 x 480 pixels, the image"),
@@ -72,6 +72,7 @@ def far(mask: np.ndarray, metres: float = 0.7) -> np.ndarray:
         ({"rgb": np.ma.masked_less(np.zeros((240, 320, 3), np.uint8), 9)}, ValueError, "rgb: the mask of this masked"),
         ({"stamp": float("nan")}, ValueError, "stamp must be a finite number of seconds, got nan"),
         ({"stamp": "now"}, TypeError, "stamp must be a number of seconds, got 'now'"),
+        ({"stamp": np.timedelta64("NaT")}, ValueError, "stamp must be a finite number of seconds, got nan"),
     ],
 )  # fmt: skip
 def test_a_wrong_frame_is_reported(blue, arguments, error, message):

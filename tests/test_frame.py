@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import timedelta
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from PIL import Image
 
 from shape_obs import Centerline, Contour, GrayRange, Intrinsics, ShapeDetector, Surface
 from shape_obs.frame import Frame
+from shape_obs.utils.arrays import read_depth
 from tests.scenes.ropes import random_rope
 from tests.scenes.sheets import random_sheet
 
@@ -27,6 +29,7 @@ LAYOUTS = {
 #: Arrays of other kinds with the same numbers.
 KINDS = {
     "masked, nothing hidden": np.ma.array,
+    "signed": lambda image: image.astype(np.int16) if image.dtype == np.uint16 else image,
     "big-endian": lambda image: image.astype(image.dtype.newbyteorder(">")),
     "PIL": lambda image: Image.fromarray(image),
     "tensor": lambda image: type("Tensor", (), {"__array__": lambda self, dtype=None, copy=None: image})(),
@@ -89,6 +92,13 @@ def test_arrays_of_other_kinds_are_read(kind):
     np.testing.assert_array_equal(np.asarray(found), np.asarray(expected))
     found = ShapeDetector(Centerline(spacing="m")).detect_mask(kind(mask), kind(depth), CAMERA).shapes[0].points3d
     np.testing.assert_array_equal(np.asarray(found), np.asarray(expected))
+
+
+def test_a_file_of_signed_depth_is_read_and_time_differences_are_seconds(tmp_path):
+    np.save(tmp_path / "z.npy", np.array([[-1, 0, 750]], np.int16))
+    frame = Frame(depth=read_depth(tmp_path / "z.npy"), stamp=np.timedelta64(2500, "ms"))  # pyright: ignore[reportArgumentType]
+    assert (frame.images[0].tolist(), frame.stamp) == ([[0, 0, 750]], 2.5)
+    assert Frame(stamp=timedelta(seconds=2.5)).stamp == 2.5  # pyright: ignore[reportArgumentType]
 
 
 def test_what_a_mask_hides_is_no_depth_no_object_and_no_point():

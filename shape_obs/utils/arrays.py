@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.utils.files import write_whole
+from shape_obs.utils.image_layout import is_depth
 
 #: Largest number of bytes of all arrays in a .npz file.
 MOST_BYTES: Final = 4 << 30
@@ -47,7 +48,7 @@ def read_image(path: Path) -> npt.NDArray[np.uint8]:
 
 
 def read_depth(path: Path) -> npt.NDArray[Any]:
-    """Read a depth file: a 16-bit single-channel image in millimetres, or a .npy of uint16 millimetres or float metres.
+    """Read a depth file: a 16-bit single-channel image in millimetres, or a .npy of 16-bit millimetres or float metres.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -56,9 +57,9 @@ def read_depth(path: Path) -> npt.NDArray[Any]:
     data = _content(path)
     npy = path.suffix == ".npy"
     depth = decode_npy(data, str(path)) if npy else decode_image(data, cv2.IMREAD_UNCHANGED, str(path))
-    if depth.ndim != 2 or not (depth.dtype == np.uint16 or np.issubdtype(depth.dtype, np.floating)):
+    if depth.ndim != 2 or not is_depth(depth.dtype):
         raise ValueError(
-            f"{path}: expected depth of shape (H, W) as uint16 millimetres or float metres, "
+            f"{path}: expected depth of shape (H, W) as uint16 or int16 millimetres or float metres, "
             f"got shape {depth.shape} of {depth.dtype}."
         )
     return depth

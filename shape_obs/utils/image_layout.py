@@ -52,6 +52,11 @@ def steps_to_depth(shape: Sequence[int]) -> list[Step] | None:
     return [*steps, *([_SQUEEZE] if len(shape_after(shape, steps)) == 3 else [])]
 
 
+def is_depth(dtype: np.dtype[Any] | None) -> bool:
+    """Return whether numbers of a type are depth: uint16 or int16 millimetres, or floating metres."""
+    return dtype is not None and (dtype.kind == "f" or (dtype.kind in "iu" and dtype.itemsize == 2))
+
+
 def shape_after(shape: Sequence[int], steps: Sequence[Step]) -> tuple[int, ...]:
     """Return the shape of an array after some steps."""
     return apply(np.broadcast_to(np.uint8(0), shape), steps).shape

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -13,7 +14,7 @@ from gymnasium import spaces
 
 from shape_obs.spec import did_you_mean
 from shape_obs.utils.array_like import plain_array
-from shape_obs.utils.image_layout import Step, apply, shape_after, steps_to_depth, steps_to_rgb
+from shape_obs.utils.image_layout import Step, apply, is_depth, shape_after, steps_to_depth, steps_to_rgb
 
 #: A key of an observation, or the keys on the way to an image in a Dict within a Dict: ``"images/rgb"`` as well.
 Key = str | int | Sequence[str | int]
@@ -21,6 +22,7 @@ Path = tuple[str | int, ...]
 
 _FULL: Final = 255
 _OTHER_SCALE: Final = (-0.5, 2.0)  # of full scale; values beyond are no rounding or overshoot of a resized image
+_BRIGHT: Final = 0.5  # of an image in 0...1; one in 0...255 with nothing but fractions up to this is a dark one
 _STATE: Final = "For state observations add images first, e.g. with gymnasium.wrappers.AddRenderObservation."
 _STACKED: Final = "These look like stacked frames: put ShapeObservation below the wrapper that stacks them."
 _RESCALE: Final = (
@@ -92,7 +94,19 @@ class Image:
                 f"{_where(self.path)}: the env's observation_space promises values from 0 to {full:g}, "
                 f"but those of the image lie from {low:g} to {high:g}: correct the one or the other."
             )
+        if full > 1 and _BRIGHT < high <= 1 and (image % 1).any():
+            self._warned  # noqa: B018 - the first time
         return np.rint(np.clip(self.factor * image, 0, _FULL)).astype(np.uint8)
+
+    @cached_property
+    def _warned(self) -> bool:
+        warnings.warn(
+            f"{_where(self.path)}: the env's observation_space goes up to {_FULL}, but the values of the image are "
+            "fractions up to 1, which is black: multiply them by 255, or give the space these bounds. This warning is "
+            "shown once.",
+            stacklevel=6,
+        )
+        return True
 
 
 @dataclass(frozen=True)
@@ -247,11 +261,11 @@ def _depth(path: Path, space: Any, size: tuple[int, int]) -> Image:
         ValueError: It is none, or not as large as the colour image.
     """
     steps = steps_to_depth(space.shape) if isinstance(space, spaces.Box) else None
-    if steps is not None and (space.dtype in (np.uint16, np.int16) or np.issubdtype(space.dtype, np.floating)):
+    if steps is not None and is_depth(space.dtype):
         image = Image(path, space, tuple(steps))
         if image.size == size:
             return image
     raise ValueError(
-        f"{_where(path)} must be a depth image as large as the RGB image, Box(..., {size}, uint16) in millimetres "
-        f"or of floats in metres, got {space}. Pass depth_key= if it has another key."
+        f"{_where(path)} must be a depth image as large as the RGB image, Box(..., {size}, uint16 or int16) in "
+        f"millimetres or of floats in metres, got {space}. Pass depth_key= if it has another key."
     )

@@ -190,6 +190,15 @@ def test_floats_on_another_scale_than_their_space_are_refused(high, factor):
         next(walk(wrapped(env)))
 
 
+def test_fractions_up_to_one_in_a_space_up_to_255_are_named_once():
+    images = Images.find(spaces.Box(0, 255, (9, 9, 3), np.float32))
+    for level in (0.5, 1):
+        images.read(np.full((9, 9, 3), level, np.float32))
+    with pytest.warns(UserWarning, match="fractions up to 1") as caught:
+        assert [images.read(np.full((9, 9, 3), 0.9, np.float32))[0].max() for _ in range(2)] == [1, 1]
+    assert len(caught) == 1
+
+
 @pytest.mark.parametrize(
     ("high", "values", "bytes_"),
     [
