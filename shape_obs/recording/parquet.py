@@ -89,7 +89,9 @@ def read_parquet(path: Path) -> tuple[dict[str, Column], dict[str, Any]]:
     arrow, parquet = need_pyarrow()
     data = _checked(path)
     try:
-        content = parquet.read_table(arrow.BufferReader(data), page_checksum_verification=True)
+        # Not read_table: a thread of its scan may still hold the bytes while the process ends, which then aborts.
+        file = parquet.ParquetFile(arrow.BufferReader(data), page_checksum_verification=True)
+        content = file.read(use_threads=False)
         metadata = parse_json((content.schema.metadata or {})[METADATA], "metadata")
         columns = {name: _as_array(content[name].combine_chunks()) for name in content.column_names}
     except (arrow.ArrowException, OSError) as error:
