@@ -287,8 +287,10 @@ class TestFile:
         model, _, good = trained
         path = tmp_path / "a.policy"
         path.write_bytes(good.read_bytes())
+        bounds = np.full((2, 6), [[-2], [2]], np.float32)
         for env, summary, message in (
             (Secret(cable()), None, "Secret does not record its arguments"),
+            (wrappers.RescaleAction(cable(), *bounds), None, "RescaleAction: its arguments .*: give plain numbers"),
             (cable(keep=["gripper"]), None, "the model was trained in another environment"),
             (cable(), {"note": object()}, "summary: expected JSON values"),
         ):
