@@ -20,7 +20,7 @@ from typing import Annotated, Any, Final, Literal, TypeVar, get_args, get_origin
 import docstring_parser
 import tyro
 
-from shape_obs.utils.errors import UsageError
+from shape_obs.utils.errors import UsageError, did_you_mean
 
 T = TypeVar("T")
 _OPTION: Final = re.compile(r"--(?!tyro-)[a-z][a-z0-9-]*")
@@ -132,16 +132,12 @@ def parse(arguments: type[T], argv: Sequence[str], prog: str, check: Callable[[T
 
 def _check_names(arguments: type, options: Mapping[str, Option], argv: Sequence[str]) -> None:
     """Report an unknown option by name; tyro lists its values and what follows as unknown too."""
-    names = [f"--{_name(each)}" for each in fields(arguments)]
+    names = [f"--{_name(each)}" for each in fields(arguments) if not options[each.name].positional]
     also = [option.short for option in options.values()] + [f"--no-{name[2:]}" for name in names]
     for word in argv:
         name = word.partition("=")[0].replace("_", "-")
         if _OPTION.fullmatch(name) and name not in (*names, *also, "--help"):
-            from difflib import get_close_matches  # only errors need it
-
-            near = get_close_matches(name, names, n=1, cutoff=0.7)
-            hint = f"; did you mean {near[0]}?" if near else "."
-            raise UsageError(f"unknown option {name}{hint} `--help` lists the options.")
+            raise UsageError(f"unknown option {name}{did_you_mean(name, names)}")
 
 
 @contextmanager

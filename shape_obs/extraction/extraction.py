@@ -18,14 +18,13 @@ from shape_obs.configurations.base import Configuration
 from shape_obs.detector import ShapeDetector
 from shape_obs.extraction.task import Outcome, Task
 from shape_obs.features import Block, Feature, FeatureContext, FeatureVector, read_features
-from shape_obs.features.coordinates import workspace_corners
+from shape_obs.features.coordinates import check_workspace
 from shape_obs.recording import Moment, ShapeLog, ShapeTable, replay
 from shape_obs.recording.replay import check_depth
 from shape_obs.recording.table import Column, step_columns
 from shape_obs.shape import Detection
 from shape_obs.source import RGBDSource
 from shape_obs.utils.files import checksum
-from shape_obs.utils.lengths import warn_unless_metres
 from shape_obs.utils.threads import one_thread
 
 _POINT_AXES: Final = {"points2d": 2, "points3d": 3}
@@ -171,8 +170,7 @@ class FeatureLog:
     ) -> None:
         self._features, self._shapes = tuple(features), tuple(shapes)
         self._workspace, self._max_age = workspace, max_age
-        if workspace is not None:
-            warn_unless_metres("workspace", workspace_corners(workspace))
+        check_workspace(workspace)
         self._vector: FeatureVector | None = None
         self._values: list[Column] = []
         self._measured: list[Column] = []

@@ -67,7 +67,7 @@ class Coordinates:
             low, high = np.full(2, -1.0), np.full(2, 1.0)
         elif self.frame == "base" and context.workspace is not None:
             self._camera(context)
-            low, high = workspace_corners(context.workspace)
+            low, high = _corners(context.workspace)
         else:
             camera = self._camera(context)
             seen = _frustum(camera, self.max_depth)
@@ -225,12 +225,18 @@ class Geometric(Framed):
     max_depth: float = 2.0
 
 
-def workspace_corners(workspace: Any) -> Array:
-    """Return the corners (low, high) of a workspace, of shape ``(2, 3)``, metres.
+def check_workspace(workspace: Any) -> None:
+    """Warn of a workspace whose corners are not plausible in metres; None passes.
 
     Raises:
-        ValueError: It is something else.
+        ValueError: It is not two corners.
     """
+    if workspace is not None:
+        warn_unless_metres("workspace", _corners(workspace), stacklevel=4)
+
+
+def _corners(workspace: Any) -> Array:
+    """Return the corners (low, high) of a workspace, of shape ``(2, 3)``, metres."""
     try:
         corners = np.asarray(workspace, dtype=np.float64)
     except (TypeError, ValueError):

@@ -34,9 +34,7 @@ _MEASURED: Final = 0.8  # of the nodes of a line have depth, so that its length 
 _FLYING: Final = 2.0  # pixels from the border that may fly between the sheet and what lies behind
 _SMEARED: Final = 3.0  # pixels from the border in which depth may be that of what lies behind
 _SAMPLES: Final = 6  # of depth from a node of a line to the next, at most
-_STEP: Final = (
-    0.005  # metres from one sample to the next: two layers of a towel, and five times a D455's noise at 0.7 m
-)
+_STEP: Final = 0.005  # metres between two samples: two layers of a towel, five times a D455's noise at 0.7 m
 _STEP_SLOPE: Final = 1.5  # metres of depth per metre: steeper than any crease of a cloth in waves (1.0)
 _STEP_NOISE: Final = 4.0  # times the median of the largest steps of all gaps, which is noise
 _FALL_NOISE: Final = 2.0  # times the same: what falls by less at a border may be noise

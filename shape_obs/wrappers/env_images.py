@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -31,7 +30,7 @@ _RESCALE: Final = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass
 class Image:
     """An image in an observation.
 
@@ -40,12 +39,16 @@ class Image:
         space: Its space.
         steps: What makes ``(H, W, 3)`` or ``(H, W)`` of it.
         factor: Of floats, what makes 0...255 of them; 0 leaves the values as they are.
+
+    Attributes:
+        warned: Whether it was said that its values are on another scale.
     """
 
     path: Path
     space: spaces.Box
     steps: Sequence[Step]
     factor: float = 0.0
+    warned: bool = field(default=False, init=False, compare=False)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -94,19 +97,15 @@ class Image:
                 f"{_where(self.path)}: the env's observation_space promises values from 0 to {full:g}, "
                 f"but those of the image lie from {low:g} to {high:g}: correct the one or the other."
             )
-        if full > 1 and _BRIGHT < high <= 1 and (image % 1).any():
-            self._warned  # noqa: B018 - the first time
+        if full > 1 and not self.warned and _BRIGHT < high <= 1 and (image % 1).any():
+            self.warned = True
+            warnings.warn(
+                f"{_where(self.path)}: the env's observation_space goes up to {full:g}, but the values of the image "
+                "are fractions up to 1, which is black: multiply them by 255, or give the space these bounds. This "
+                "warning is shown once.",
+                stacklevel=5,
+            )
         return np.rint(np.clip(self.factor * image, 0, _FULL)).astype(np.uint8)
-
-    @cached_property
-    def _warned(self) -> bool:
-        warnings.warn(
-            f"{_where(self.path)}: the env's observation_space goes up to {_FULL}, but the values of the image are "
-            "fractions up to 1, which is black: multiply them by 255, or give the space these bounds. This warning is "
-            "shown once.",
-            stacklevel=6,
-        )
-        return True
 
 
 @dataclass(frozen=True)

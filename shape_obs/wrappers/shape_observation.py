@@ -13,10 +13,9 @@ from gymnasium.utils import RecordConstructorArgs
 from shape_obs.camera import CameraLike, CameraModel, as_camera_model
 from shape_obs.detector import ShapeDetector
 from shape_obs.features import Block, Feature, FeatureContext, FeatureVector, read_features
-from shape_obs.features.coordinates import workspace_corners
+from shape_obs.features.coordinates import check_workspace
 from shape_obs.features.feature import what_needs_depth
 from shape_obs.shape import Detection, Shape
-from shape_obs.utils.lengths import warn_unless_metres
 from shape_obs.wrappers import env_protocol
 from shape_obs.wrappers.env_images import Images, Key
 from shape_obs.wrappers.goals import EnvGoal
@@ -111,8 +110,7 @@ class ShapeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstructorA
         self._given_camera = camera or as_camera_model(own["camera"], self._images.size)
         camera = self._camera_of(env)
         height, width = self._images.size
-        if own["workspace"] is not None:
-            warn_unless_metres("workspace", workspace_corners(own["workspace"]))
+        check_workspace(own["workspace"])
         context = FeatureContext(width, height, camera, own["workspace"], self.detector.config.max_age)
         in_3d = self._images.has_depth and camera is not None
         self.features = tuple(read_features(own["features"] or ("points3d" if in_3d else "points2d_normalized")))
