@@ -7,6 +7,7 @@ Only the module of the chosen command is imported, and it imports libraries only
 from __future__ import annotations
 
 import os
+import select
 import signal
 import sys
 import threading
@@ -16,7 +17,7 @@ from importlib import import_module
 from io import TextIOWrapper
 from pathlib import Path
 from types import FrameType
-from typing import Final
+from typing import Final, TextIO
 
 from shape_obs import __version__
 from shape_obs.utils.errors import Interrupted, UsageError, did_you_mean, hint_at_extra, message_of
@@ -71,7 +72,8 @@ def _run(arguments: list[str]) -> int:
     except SystemExit as end:  # of the parser: --help, or wrong usage, which it has reported
         return end.code if isinstance(end.code, int) else int(end.code is not None)
     except (ValueError, TypeError, OSError, ImportError) as error:
-        if not (isinstance(error, BrokenPipeError) and _is_output_lost()):
+        lost = isinstance(error, BrokenPipeError) and (_has_no_reader(sys.stdout) or _is_output_lost())
+        if not lost:
             print(f"{prog}: {message_of(error)}{hint_at_extra(error)}", file=sys.stderr)
         return 2 if isinstance(error, UsageError) else 1
     except Interrupted as interrupted:
@@ -103,6 +105,16 @@ def _is_output_lost() -> bool:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
             lost = True
     return lost
+
+
+def _has_no_reader(stream: TextIO) -> bool:
+    """Return whether a stream is a pipe whose reader has ended; without a buffer, flushing does not show that."""
+    try:
+        poll = select.poll()
+        poll.register(stream.fileno(), 0)
+    except (OSError, AttributeError):  # no file, or Windows, which has no poll
+        return False
+    return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
 @contextmanager

@@ -211,6 +211,11 @@ def test_it_runs_without_output_streams_as_in_pythonw_and_after_its_reader_has_e
     for name in ("stdout", "stderr"):
         monkeypatch.setattr(sys, name, os.fdopen(os.dup(writer), "w"))
     assert run() == 1
+    raw = os.fdopen(os.dup(writer), "wb", 0)  # as with PYTHONUNBUFFERED
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(raw, write_through=True))
+    monkeypatch.setattr(sys, "stderr", errors := io.StringIO())
+    assert run() == (code or 1)
+    assert "pipe" not in errors.getvalue()
     os.close(writer)
 
 
