@@ -17,7 +17,7 @@ from shape_obs.image.mask_check import checked_mask
 from shape_obs.image.outline_tracing import trace_components
 from shape_obs.image.region import Region
 from shape_obs.image.roi import ROI, Window
-from shape_obs.image.segmentation import ColourRule, Segmentation, colour_table, need
+from shape_obs.image.segmentation import ColourRule, Expected, FollowingRule, Segmentation, colour_table, need
 
 # A strand at least so wide, pixels, is not missed where one pixel in step x step is looked at: see ``find_by_colour``.
 _WIDE, _FAR_STEP, _NARROW, _NEAR_STEP = 12.0, 8, 7.0, 4
@@ -28,7 +28,14 @@ _WIDE, _FAR_STEP, _NARROW, _NEAR_STEP = 12.0, 8, 7.0, 4
 _PIXELS_PER_RUN, _MOST_RUNS = 16, 4096
 
 
-def segment(frame: Frame, window: Window, rule: Segmentation, roi: ROI, width: float = 0.0) -> Region:
+def segment(
+    frame: Frame,
+    window: Window,
+    rule: Segmentation,
+    roi: ROI,
+    width: float = 0.0,
+    expected: Expected | None = None,
+) -> Region:
     """Find the plausible components of a rule's mask in a window, the quickest way that gives the same pixels.
 
     A colour rule is looked up in its table. If the object is known to be wide, not every pixel has to be read:
@@ -40,8 +47,11 @@ def segment(frame: Frame, window: Window, rule: Segmentation, roi: ROI, width: f
         rule: Which pixels belong to the object.
         roi: What to blank in the window.
         width: Of the object where it is thinnest, pixels; 0 if it is unknown, and nothing is overlooked.
+        expected: Where a rule that follows the object should look for it; None for everywhere.
     """
-    if not is_tabulated(rule):
+    if isinstance(rule, FollowingRule) and expected is not None:
+        mask = rule.apply_near(frame, window, expected)
+    elif not is_tabulated(rule):
         mask = rule.apply(frame, window)
         if type(rule).apply is not Segmentation.apply:  # which checks what ``threshold`` returns
             mask = checked_mask(mask, (window.height, window.width), rule.label)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -29,7 +29,11 @@ Table = npt.NDArray[np.uint64]
 LEVELS: Final = 256  # of a colour channel
 _KEPT: Final = 16  # tables, 2 MB each
 #: Kinds that other modules define.
-_ELSEWHERE: Final = {"callable": "shape_obs.image.mask_function", "click": "shape_obs.image.clicked_colours"}
+_ELSEWHERE: Final = {
+    "callable": "shape_obs.image.mask_function",
+    "click": "shape_obs.image.clicked_colours",
+    "click_net": "shape_obs.image.click_net",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,6 +144,31 @@ class ColourRule(Segmentation):
         found = self.matches(need(frame.rgb, "rgb", self)[window.slices])
         mask = checked_mask(found, (window.height, window.width), self.label)
         return mask if mask is found else mask * np.uint8(255)
+
+
+class Expected(NamedTuple):
+    """Where an object is expected in a frame.
+
+    Args:
+        nodes: ``(K, 2)`` pixels.
+        mask: ``(H, W)`` uint8, 0 or 1, about where its pixels should be.
+    """
+
+    nodes: npt.NDArray[np.float64]
+    mask: npt.NDArray[np.uint8]
+
+
+class FollowingRule(Segmentation):
+    """A pixel rule that is told where the track expects the object."""
+
+    def apply_near(self, frame: Frame, window: Window, expected: Expected) -> npt.NDArray[np.uint8]:
+        """Return what ``apply`` returns, of an object that is expected somewhere."""
+        mask = self.threshold_near(frame, window, expected)
+        return self.clean(checked_mask(mask, (window.height, window.width), self.label))
+
+    @abstractmethod
+    def threshold_near(self, frame: Frame, window: Window, expected: Expected) -> npt.NDArray[Any]:
+        """Return what ``threshold`` returns, of an object that is expected somewhere."""
 
 
 HUES = 180

@@ -8,15 +8,17 @@ from dataclasses import InitVar, dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.frame import Frame
+from shape_obs.geometry.topology import Chain, Ring
 from shape_obs.image.find_region import cut_region, find_region, segment
 from shape_obs.image.mask_check import checked_mask
 from shape_obs.image.region import Region
 from shape_obs.image.roi import ROI, Window
-from shape_obs.image.segmentation import Segmentation
+from shape_obs.image.segmentation import Expected, FollowingRule, Segmentation
 from shape_obs.tracking.prediction import Track
 
 if TYPE_CHECKING:
@@ -118,7 +120,8 @@ class RegionSearch:
             if rule.whole_image:
                 region = cut_region(self.whole_mask(rule), window, rule, self.roi)
             else:
-                region = segment(frame, window, rule, self.roi, width)
+                near = self._expected(rule) if expected is not None and isinstance(rule, FollowingRule) else None
+                region = segment(frame, window, rule, self.roi, width, near)
         else:
             floor, mask = rule or Segmentation, self.roi.blank(self.mask[window.slices], window)
             region = find_region(mask, window, floor.min_area, floor.min_share)
@@ -138,6 +141,18 @@ class RegionSearch:
             self.masks[bare] = checked_mask(found, self.frame.size, rule.label)
         return self.masks[bare]
 
+    def _expected(self, rule: Segmentation) -> Expected:
+        """Return where the tracks of a rule expect its objects: their nodes, and the pixels around these."""
+        assert self.frame.size is not None
+        mask, places = np.zeros(self.frame.size, np.uint8), []
+        for track in filter(None, self.tracks[rule]):
+            nodes = track.nodes + track.interval * track.velocity  # (K, D)
+            if nodes.shape[1] == 3 and self.frame.camera is not None:
+                nodes = self.frame.camera.intrinsics.project(nodes)
+            draw_expected(mask, nodes, track)
+            places.append(nodes)
+        return Expected(np.concatenate(places), mask)
+
     def cloud(self, rule: Segmentation | None) -> SeenCloud:
         """Return the points under the region of a rule; the frame must have depth and a camera."""
         from shape_obs.point_cloud.deprojection import deproject  # most detectors see no clouds
@@ -155,6 +170,18 @@ class RegionSearch:
         self.regions.pop(rule, None)
         self.clouds.pop(rule, None)
         return True
+
+
+def draw_expected(mask: npt.NDArray[np.uint8], nodes: npt.NDArray[np.float64], track: Track) -> None:
+    """Draw a shape with nodes at ``(K, 2)`` pixels into a mask: a ribbon, an outline's inside, or a lattice's cells."""
+    ends = nodes[track.topology.edges()]  # (E, 2, 2)
+    corners = np.round(16 * ends).astype(np.int32)
+    if isinstance(track.topology, Ring):
+        cv2.fillPoly(mask, [corners[:, 0]], (1,), shift=4)
+        return
+    long = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
+    thick = track.width if isinstance(track.topology, Chain) and track.nodes.shape[1] == 2 else long
+    cv2.polylines(mask, corners, False, (1,), max(round(thick), 1), shift=4)
 
 
 @lru_cache(maxsize=16)
