@@ -12,7 +12,7 @@ from PIL import Image
 
 from shape_obs import Centerline, ShapeDetector
 from shape_obs.drawing import draw_detection
-from shape_obs.image.colour_picker import propose_segmentation
+from shape_obs.clicks import propose_segmentation
 
 
 def drawn_photo() -> np.ndarray:

@@ -214,7 +214,7 @@ def _detector_arguments(args: Arguments) -> dict[str, Any]:
 
 def _proposed(args: Arguments) -> Segmentation:
     """Return the segmentation that the picked pixels of the first image mean, and print what was found."""
-    from shape_obs.image.colour_picker import propose_segmentation
+    from shape_obs.clicks import propose_segmentation
     from shape_obs.utils.arrays import read_depth, read_image
 
     depth = read_depth(args.depth[0]) if args.depth else None

@@ -7,7 +7,7 @@ what it costs with a range of hues.
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, Final
 
@@ -32,6 +32,12 @@ _REACH: Final = 6.0  # standard deviations; farther colours are not the object's
 _FEWEST: Final = 30  # samples for each colour of a mixture
 _SPREAD: Final = 4.0  # least variance of a colour: noise, and what is between two cells
 _KEPT: Final = 16  # tables
+_SQUARE: Final = np.ones((3, 3), np.uint8)
+_CORE: Final = 0.3  # share of a mask that is not its border, at least, for the border to be left out
+_NEAR: Final = 25  # pixels around an object that count as its surroundings
+# Of the object and of all else: samples, and colours of a mixture.
+_SAMPLES, _COLOURS = (800, 700), (4, 6)
+_STRICTNESS: Final = (0.0, -3.0, -1.5, 1.5, 3.0, 5.0, 8.0)
 
 
 @dataclass(frozen=True)
@@ -85,7 +91,7 @@ class ClickedColours(ColourRule, kind="click"):
         super().__post_init__()
         if not (self.object and self.background):
             raise SpecError(
-                "click: the colours are missing; shape_obs.image.colour_picker.propose_segmentation(rgb, picks) learns "
+                "click: the colours are missing; shape_obs.clicks.propose_segmentation(rgb, picks) learns "
                 "them from an image, as `shape-obs detect IMAGE --pick u,v` does."
             )
 
@@ -99,7 +105,42 @@ class ClickedColours(ColourRule, kind="click"):
 
     def matches(self, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
         """Return the mask of an image: ``(h, w, 3)`` uint8 -> ``(h, w)`` bool."""
-        return _cell_table(self)[cells_of(rgb)]
+        return _odds_table(self.object, self.background)[cells_of(rgb)] > self.strictness
+
+
+def fit_rule(rgb: npt.NDArray[np.uint8], mask: npt.NDArray[np.bool_]) -> ClickedColours | None:
+    """Return the rule that gives a mask again as well as colours alone can; None for a mask with hardly an outside.
+
+    A mixture of colours is fitted to the mask and another one to all else, as in GrabCut (Rother, Kolmogorov and Blake,
+    2004), but without a smoothness term, which would cut thin wires off.
+
+    Args:
+        rgb: ``(H, W, 3)`` uint8.
+        mask: ``(H, W)`` bool.
+    """
+    inner = np.asarray(cv2.erode(mask.view(np.uint8), _SQUARE)).view(np.bool_)
+    if np.count_nonzero(inner) < _CORE * np.count_nonzero(mask):
+        inner = mask  # at the border colours are mixed, but nothing else is left of it
+    away = np.asarray(cv2.dilate(mask.view(np.uint8), _SQUARE, iterations=2)) == 0
+    near = away & np.asarray(cv2.dilate(mask.view(np.uint8), np.ones((2 * _NEAR + 1,) * 2, np.uint8))).view(np.bool_)
+    if not inner.any() or np.count_nonzero(away) < _FEWEST:
+        return None
+    lab, rng = cv2.cvtColor(cv2.medianBlur(rgb, 3), cv2.COLOR_RGB2LAB), np.random.default_rng(0)
+
+    def sample(part: npt.NDArray[np.bool_], count: int) -> Array:
+        chosen = np.flatnonzero(part)
+        chosen = chosen if len(chosen) <= count else rng.choice(chosen, count, replace=False)
+        return np.asarray((lab.reshape(-1, 3)[chosen] - _ZERO) * _SCALE, np.float64)
+
+    inside = fit_colours(sample(inner, _SAMPLES[0]), _COLOURS[0])
+    ground = np.concatenate([sample(near, _SAMPLES[1]), sample(away, _SAMPLES[1])])
+    rule = ClickedColours(object=inside, background=fit_colours(ground, _COLOURS[1]))
+    odds = _odds_table(rule.object, rule.background)[cells_of(rgb)]
+    # Intersection over union of what is above each strictness with the mask.
+    both = np.array([np.count_nonzero((odds > level) & mask) for level in _STRICTNESS])
+    found = np.array([np.count_nonzero(odds > level) for level in _STRICTNESS])
+    best = int(np.argmax(both / (np.count_nonzero(mask) + found - both)))
+    return replace(rule, strictness=_STRICTNESS[best])
 
 
 def fit_colours(colours: Array, count: int) -> tuple[ColourGaussian, ...]:
@@ -157,16 +198,16 @@ def _log_densities(lab: Array, mixture: tuple[ColourGaussian, ...]) -> Array:
 
 
 @lru_cache(maxsize=_KEPT)
-def _cell_table(rule: ClickedColours) -> npt.NDArray[np.bool_]:
-    """Return which cells of Lab belong to the object: only those near one of its colours are computed."""
-    table = np.zeros(_CELLS**3, np.bool_)
+def _odds_table(inside: tuple[ColourGaussian, ...], outside: tuple[ColourGaussian, ...]) -> npt.NDArray[np.float32]:
+    """Return ``log_odds`` of all cells of Lab that are near a colour of the object; those of the others are -inf."""
     near = np.zeros((_CELLS, _CELLS, _CELLS), np.bool_)
-    for each in rule.object:
+    for each in inside:
         reach = _REACH * np.sqrt(np.diag(each.matrix))
         low, high = (((np.array(each.mean) + side * reach) / _SCALE + _ZERO) / CELL for side in (-1, 1))
         first = np.clip(np.floor(low), 0, _CELLS).astype(int)
         stop = np.clip(np.ceil(high) + 1, 0, _CELLS).astype(int)
         near[first[0] : stop[0], first[1] : stop[1], first[2] : stop[2]] = True
     cells = np.flatnonzero(near)
-    table[cells] = log_odds(colours_of(cells), rule.object, rule.background) > rule.strictness
+    table = np.full(_CELLS**3, -np.inf, np.float32)
+    table[cells] = log_odds(colours_of(cells), inside, outside)
     return table

@@ -14,7 +14,7 @@ from shape_obs.tuner.history import Path
 from shape_obs.tuner.page_style import TOGGLE
 
 _SHAPES: Final = {"centerline": "Cable", "contour": "Outline", "surface": "Cloth"}
-_NAMES: Final = {"click": "Clicked colours"}
+_NAMES: Final = {"click": "Clicked colours", "click_net": "Clicked, by a network"}
 _RULES: Final = {"hsv": "Colour range", "gray": "Brightness range", "depth": "Depth range"}
 _COUNTS: Final = {"one": "One", **{str(k): str(k) for k in range(1, 9)}, "all": "All"}
 _CHOICES: Final = {

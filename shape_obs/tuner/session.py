@@ -11,12 +11,12 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.clicks import propose_segmentation
 from shape_obs.config.config_file import detector_arguments, dump_config, save_config
 from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.configurations.base import Configuration
 from shape_obs.detector import ShapeDetector
 from shape_obs.frame import Frame
-from shape_obs.image.colour_picker import propose_segmentation
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.spec import to_plain
 from shape_obs.tuner.controls import Control, controls_of

@@ -11,13 +11,13 @@ import yaml
 
 from shape_obs import Centerline, ShapeDetector
 from shape_obs.config.config_file import detector_arguments, load_config, save_config
-from shape_obs.image.colour_picker import propose_segmentation
+from shape_obs.clicks import propose_segmentation
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.utils.arrays import read_image
 from tests.benchmarks.clicks import first_click
 from tests.benchmarks.scenes.object_photos import object_photo
 
-REAL = Path(__file__).parents[3] / "shared" / "data" / "real" / "blue_rope_640x480.png"
+REAL = Path(__file__).parents[2] / "shared" / "data" / "real" / "blue_rope_640x480.png"
 
 
 def overlap(found: np.ndarray, truth: np.ndarray) -> float:
