@@ -6,8 +6,10 @@ if they give it again, else the network in each frame.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any, Final
 
 import cv2
@@ -18,20 +20,22 @@ from shape_obs.frame import Frame
 from shape_obs.image.click_net import HALF, ClickNet, Clicks, Photo, Pixel
 from shape_obs.image.clicked_colours import ClickedColours, fit_rule
 from shape_obs.image.find_region import find_region
-from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.image.sharing import FOUND, MOST, part_of, share
+from shape_obs.initialization.objects import SceneObject
 from shape_obs.initialization.ropes import find_ropes
 
 Image = npt.NDArray[np.uint8]
 Mask = npt.NDArray[np.bool_]
 
-_SMALLEST: Final = 32  # pixels of a photo's shorter side, at least
+_SMALLEST, _LARGEST = 32, 960  # pixels of a photo's sides: smaller ones show nothing, larger ones are reduced
 _AT: Final = 2  # pixels around a click that count as clicked
-_SAME: Final = 0.8  # intersection over union of masks that are the same object
+_NEAR: Final = 3.0  # pixels by which the borders of two masks of one object may differ
+_DIFFERENT: Final = 0.05  # share of either of two masks of one object that may be farther from the other
 _ROPE: Final = 5.0  # times as long as it is wide
 _PLAUSIBLE: Final = Segmentation.min_area, Segmentation.min_share
+_GAP: Final = 15.0  # widths of what may hide a rope, such as a hand
 _MOST: Final = 0.6  # share of the image
 
 
@@ -69,23 +73,22 @@ def propose_segmentation(
         TypeError: The image is none, see ``Frame``.
         ValueError: A pixel lies outside the image, clicks contradict each other, or there is no object under them.
     """
-    given = Frame(rgb, depth)
-    rgb = given.rgb if given.rgb is not None else rgb
-    _check(rgb, picks, nots)
-    photo = Photo(rgb)
-    on, off = (Clicks.at(photo.lab, photo.here(pixels)) for pixels in (picks, nots))
+    _check(Frame(rgb, depth).rgb, picks, nots)
+    small, on_it, off_it = _reduced(rgb, picks, nots)
+    photo = Photo(small)
+    on, off = (Clicks.at(photo.lab, photo.here(pixels)) for pixels in (on_it, off_it))
     seen = photo.probability(on, off) > HALF
-    if not any(_near(seen, pick).any() for pick in picks):
+    if not any(_near(seen, pick).any() for pick in on_it):
         raise ValueError(
             f"pick: nothing at {_listed(picks)} stands out from what is around it; click in the middle of the object."
         )
-    colours = fit_rule(rgb, seen)
-    mask = _rope_at(_pieces(seen), rgb, picks)
-    rule: Segmentation = ClickNet(
-        picks=_plain(picks), nots=_plain(nots), object=_rows(on.colours), background=_rows(off.colours)
-    )
-    if colours is not None and _overlap(found := _found(colours, rgb), mask) >= _SAME:
-        rule, mask = replace(colours, picks=_plain(picks), nots=_plain(nots)), found
+    mask, colours, record = _ropes_at(seen, small, on_it, off_it), fit_rule(small, seen), (_plain(picks), _plain(nots))
+    if colours is not None and _is_same(_found(colours, small), mask):
+        rule: Segmentation = replace(colours, picks=record[0], nots=record[1])
+        mask = _found(colours, rgb)
+    else:
+        rule = ClickNet(picks=record[0], nots=record[1], object=_rows(on.colours), background=_rows(off.colours))
+        mask = cv2.resize(mask.view(np.uint8), rgb.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
     if mask.mean() > _MOST:
         raise ValueError(
             f"pick: {mask.mean():.0%} of the image looks like {_listed(picks)}; click on the object, not on the "
@@ -94,61 +97,72 @@ def propose_segmentation(
     return Proposal(rule, mask, _explained(rule, mask, picks, nots))
 
 
-def _check(rgb: Image, picks: Sequence[Pixel], nots: Sequence[Pixel]) -> None:
-    height, width = rgb.shape[:2]
+def _check(rgb: Image | None, picks: Sequence[Pixel], nots: Sequence[Pixel]) -> None:
+    height, width = (0, 0) if rgb is None else rgb.shape[:2]
     if min(height, width) < _SMALLEST:
-        raise ValueError(
-            f"pick: expected an image of {_SMALLEST} x {_SMALLEST} pixels or more, got {width} x {height}."
-        )
+        size = f"{_SMALLEST} x {_SMALLEST}"
+        raise ValueError(f"pick: expected an image of at least {size} pixels, got {width} x {height}.")
     if not picks:
         raise ValueError("pick: expected at least one pixel on the object, got none.")
     for u, v in (*picks, *nots):
         if not (0 <= round(u) < width and 0 <= round(v) < height):
             raise ValueError(f"pick: pixel ({u:g}, {v:g}) lies outside the image of {width} x {height} pixels.")
-    for pick in picks:
-        for no in nots:
-            if np.hypot(pick[0] - no[0], pick[1] - no[1]) <= _AT:
-                raise ValueError(f"pick: {_listed([pick])} is given as on the object and {_listed([no])} as off it.")
+    for pick, no in product(picks, nots):
+        if math.dist(pick, no) <= _AT:
+            raise ValueError(f"pick: {_listed([pick])} is given as on the object, and {_listed([no])} as off it.")
 
 
-def _pieces(mask: Mask) -> Region:
-    """Return the plausible pieces of a mask, as a detector keeps them."""
-    return find_region(mask.view(np.uint8), Window(0, 0, mask.shape[1], mask.shape[0]), *_PLAUSIBLE)
+def _reduced(rgb: Image, *clicks: Sequence[Pixel]) -> tuple[Image, Sequence[Pixel], Sequence[Pixel]]:
+    """Return a photo of at most so many pixels, and the clicks on it."""
+    scale = min(1.0, _LARGEST / max(rgb.shape))
+    size = round(rgb.shape[1] * scale), round(rgb.shape[0] * scale)
+    small = rgb if scale == 1 else np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
+    on, off = ([(min(u * scale, size[0] - 1), min(v * scale, size[1] - 1)) for u, v in each] for each in clicks)
+    return small, on, off
 
 
-def _rope_at(region: Region, rgb: Image, picks: Sequence[Pixel]) -> Mask:
-    """Return the ropes of a mask that were clicked, over all crossings; all of a mask that is no rope."""
+def _ropes_at(seen: Mask, rgb: Image, picks: Sequence[Pixel], nots: Sequence[Pixel]) -> Mask:
+    """Return the ropes of a mask that were clicked, over all crossings; all of a mask that holds no two ropes.
+
+    Ropes of one colour look alike to the network; which way each goes is a matter of its curve.
+    """
+    region = find_region(seen.view(np.uint8), _whole(seen), *_PLAUSIBLE)
     whole = region.mask > 0
-    if not region.area or region.length < _ROPE * region.width:
+    ropes = find_ropes(region, rgb, _GAP)[0] if region.area and region.length > _ROPE * region.width else []
+    at = [{_nearest(ropes, pixel) for pixel in pixels} - {None} for pixels in (picks, nots)]
+    clicked = [k for k in at[0] - at[1] if k is not None]
+    if not clicked or not 1 < len(ropes) <= MOST:
         return whole
-    ropes, _ = find_ropes(region, rgb)
-    if not 1 < len(ropes) <= MOST:
-        return whole
-    curves, widths = [rope.curve.points for rope in ropes], [rope.width for rope in ropes]
-    clicked = [k for k in range(len(ropes)) if any(_reaches(curves[k], widths[k], pick) for pick in picks)]
-    if not clicked:
-        return whole
-    owners, _, _ = share(region, curves, widths, FOUND)
-    part = part_of(region, owners, clicked, *_PLAUSIBLE)
-    mask = np.zeros_like(whole)
+    owners, _, _ = share(region, [rope.curve.points for rope in ropes], [rope.width for rope in ropes], FOUND)
+    part, mask = part_of(region, owners, clicked, *_PLAUSIBLE), np.zeros_like(whole)
     mask[part.window.slices] = part.mask > 0
     return mask
 
 
-def _reaches(curve: npt.NDArray[np.float64], width: float, pixel: Pixel) -> bool:
-    """Return whether a ribbon has a pixel, or nearly."""
-    return float(np.min(np.linalg.norm(curve - pixel, axis=1))) <= width / 2 + _AT
+def _nearest(ropes: Sequence[SceneObject], pixel: Pixel) -> int | None:
+    """Return the rope that lies at a pixel, or nearly."""
+    beyond = [float(np.linalg.norm(each.curve.points - pixel, axis=1).min()) - each.width / 2 for each in ropes]
+    return int(np.argmin(beyond)) if min(beyond, default=math.inf) <= _AT else None
 
 
 def _found(rule: ClickedColours, rgb: Image) -> Mask:
     """Return what a detector finds with the rule in an image."""
     mask = rule.clean(rule.matches(rgb).astype(np.uint8))
-    return find_region(mask, Window(0, 0, rgb.shape[1], rgb.shape[0]), rule.min_area, rule.min_share).mask > 0
+    return find_region(mask, _whole(mask), rule.min_area, rule.min_share).mask > 0
 
 
-def _overlap(one: Mask, other: Mask) -> float:
-    """Return the intersection over the union of two masks."""
-    return float(np.count_nonzero(one & other) / max(np.count_nonzero(one | other), 1))
+def _whole(mask: npt.NDArray[Any]) -> Window:
+    return Window(0, 0, mask.shape[1], mask.shape[0])
+
+
+def _is_same(one: Mask, other: Mask) -> bool:
+    """Return whether two masks show the same object, about: hardly anything of either is far from the other."""
+    far = [
+        np.count_nonzero(cv2.distanceTransform((~of).view(np.uint8), cv2.DIST_L2, 3)[some] > _NEAR)
+        > _DIFFERENT * np.count_nonzero(some)
+        for some, of in ((one, other), (other, one))
+    ]
+    return not any(far) and bool(one.any())
 
 
 def _near(mask: Mask, pixel: Pixel) -> Mask:
@@ -181,4 +195,5 @@ def _plain(pixels: Sequence[Pixel]) -> tuple[Pixel, ...]:
 
 
 def _rows(colours: npt.NDArray[np.float32]) -> tuple[tuple[float, float, float], ...]:
-    return tuple((round(float(a), 2), round(float(b), 2), round(float(c), 2)) for a, b, c in colours)
+    rounded = np.round(colours.astype(np.float64), 2).tolist()
+    return tuple((light, a, b) for light, a, b in rounded)

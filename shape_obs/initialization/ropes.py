@@ -26,7 +26,7 @@ _STUB: Final = 4.0
 _SHORTEST: Final = 3.0
 # A gap in the mask: how far apart two ends are at most, in widths (a curve ends up to a width before its rope); what
 # the way over it may bend, in rad^2; how much dearer the next best way on must be for either end.
-_GAP: Final = 3.0
+GAP: Final = 3.0
 _BENT: Final = 0.3
 _SURE: Final = 0.08  # rad^2: over a gap where it bends more, a rope is joined, and doubted
 _ACROSS: Final = 0.15  # rad^2: where it bends more between another rope and a gap next to it, a rope is not joined
@@ -35,16 +35,17 @@ _STIFFNESS: Final = 12.0  # widths of a gap that a bend of 1 rad^2 is as dear as
 _REACH: Final = 1.5  # widths over which an end's direction is taken
 
 
-def find_ropes(region: Region, picture: Picture | None = None) -> tuple[list[SceneObject], str]:
+def find_ropes(region: Region, picture: Picture | None = None, gap: float = GAP) -> tuple[list[SceneObject], str]:
     """Return the ropes of a mask, longest first, and why there are none.
 
     Args:
         region: The mask of any number of ropes that may lie over each other.
         picture: ``(H, W, 3)`` RGB, in which ropes may have colours of their own; None without one.
+        gap: Widths between two pieces of one rope, at most.
     """
     strands, refusal = find_strands(without_pinholes(region), Evidence(picture))
     strands = [strand for strand in strands if not _is_stub(strand)]
-    ropes = [_rope(strand, region) for strand in _joined(strands, region, picture)]
+    ropes = [_rope(strand, region) for strand in _joined(strands, region, picture, gap)]
     if not ropes and not refusal:
         refusal = f"nothing in the mask is {_SHORTEST:.2g} times as long as it is wide"
     return sorted(ropes, key=lambda rope: -rope.curve.size), refusal
@@ -54,7 +55,7 @@ def _is_stub(strand: Strand) -> bool:
     return strand.length < (_STUB if any(strand.inside) else _SHORTEST) * strand.width
 
 
-def _joined(strands: list[Strand], region: Region, picture: Picture | None) -> list[Strand]:
+def _joined(strands: list[Strand], region: Region, picture: Picture | None, widest: float) -> list[Strand]:
     """Join strands end to end, cheapest first, where no other end is about as good a continuation.
 
     An end that lies on another rope goes on beyond that one, if a gap in the mask is what keeps the two apart.
@@ -65,7 +66,7 @@ def _joined(strands: list[Strand], region: Region, picture: Picture | None) -> l
     across = {
         (i, e): reach_beyond(away[i, e], strands[i].width, region).border for i, e in ends if strands[i].inside[e]
     }
-    price = {(a, b): _price(strands, a, b, leads, across) for a, b in combinations(ends, 2) if a[0] != b[0]}
+    price = {(a, b): _price(strands, a, b, leads, across, widest) for a, b in combinations(ends, 2) if a[0] != b[0]}
     near = {end for pair, cost in price.items() if cost < np.inf for end in pair}
     looks = {(i, e): look_of_end(away[i, e], strands[i].width, picture) for i, e in near}
     price = {(a, b): cost for (a, b), cost in price.items() if cost < np.inf and not are_unlike(looks[a], looks[b])}
@@ -91,7 +92,9 @@ def _joined(strands: list[Strand], region: Region, picture: Picture | None) -> l
     ]
 
 
-def _price(strands: list[Strand], a: End, b: End, leads: dict[End, Lead], across: dict[End, float]) -> float:
+def _price(
+    strands: list[Strand], a: End, b: End, leads: dict[End, Lead], across: dict[End, float], widest: float
+) -> float:
     """Return what it costs to join two ends, in widths of gap; inf for a gap that is too wide or too bent.
 
     Of a gap that begins on another rope, what lies on that one does not count; ``across`` is so many pixels.
@@ -102,7 +105,7 @@ def _price(strands: list[Strand], a: End, b: End, leads: dict[End, Lead], across
     ends = [strands[i].curve[-e] for i, e in (a, b)]
     most = _ACROSS if a in across or b in across else _BENT
     gap = max(float(np.linalg.norm(ends[1] - ends[0])) - across.get(a, 0.0) - across.get(b, 0.0), 0.0) / width
-    bend = bending(leads[a], leads[b]) if gap < _GAP else np.inf
+    bend = bending(leads[a], leads[b]) if gap < widest else np.inf
     return gap + _STIFFNESS * bend if bend < most else np.inf
 
 
