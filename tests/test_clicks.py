@@ -26,12 +26,12 @@ def overlap(found: np.ndarray, truth: np.ndarray) -> float:
 
 @pytest.fixture(scope="module")
 def rope():
-    return object_photo(np.random.default_rng(1), "rope", "cloth")
+    return object_photo(np.random.default_rng(1), "rope", "concrete")
 
 
 @pytest.fixture(scope="module")
 def pick(rope):
-    return first_click(np.random.default_rng(0), rope.mask)
+    return first_click(np.random.default_rng(0), rope)
 
 
 @pytest.fixture(scope="module")

@@ -199,7 +199,7 @@ def _strand_surface(look: Look, along: Field, across: Field, width: float) -> tu
         one, two = along / (0.9 * width) + 1.5 * around, along / (0.9 * width) - 1.5 * around
         dark = 0.72 + 0.28 * np.sign(np.sin(np.pi * one) * np.sin(np.pi * two)) * np.abs(np.sin(2 * np.pi * one))
         tilt = 0.3 * np.cos(2 * np.pi * one)
-        mix = ((np.floor(one) % 4 == 0) if rng.random() < 0.4 else np.zeros_like(one)) * 0.9
+        mix = ((np.floor(one) % 4 == 0) if rng.random() < 0.3 else np.zeros_like(one)) * 0.9
     elif look.make == "ribbed":
         dark, tilt = 0.7 + 0.3 * np.abs(np.sin(np.pi * along / 5)), 0.4 * np.cos(2 * np.pi * along / 5)
     elif look.make == "marked":
@@ -237,7 +237,7 @@ def _sheet_surface(look: Look, outline: Array) -> tuple[Field, Field]:
     albedo = (look.colour + (look.second - look.colour) * mix[..., None]) * weave
     relief = np.zeros(size, np.float32)
     if look.wrinkles > 0:
-        for long, wide, high_ in ((420, 90, 16.0), (180, 36, 6.0), (60, 24, 1.6)):
+        for long, wide, high_ in ((420, 90, 26.0), (160, 34, 11.0), (50, 22, 3.0)):
             turned = cv2.getRotationMatrix2D((size[1] / 2, size[0] / 2), rng.uniform(0, 180), 1.7)
             folds = grain(rng, size, (long, wide))[..., 0] * np.float32(high_)
             relief += cv2.warpAffine(folds, turned, size[::-1], borderMode=cv2.BORDER_REFLECT)

@@ -31,9 +31,12 @@ Object = Strand | Sheet
 _JACKETS: Final = "c3272f 17181a e6e5e1 2b56a8 2f8f4e e0b52c d9772a 6b4a2f 8d9094 d9c9a6 7a3f8f 4b4e52 b7c7d6 efe3c0"
 _FABRICS: Final = "d8d3c8 2c3f66 9c2f36 5c7f6b 30323a c7a24f b9bec6 7fa3bf e3c4c0 6d5a4a efeee9 4e6f8f 9a9184"
 _TRIES: Final = 12  # scenes from which one is taken in which the object is well in sight
-_SEEN: Final = (0.0035, 0.6)  # least share of the photo, and least share of the object that nothing lies over
+_SEEN: Final = (0.0035, 0.75)  # least share of the photo, and least share of the object that nothing lies over
 _CONTRAST: Final = 11.0  # least distance in Lab of the object's border from what is around it
 _OWN: Final = (12.0, 0.003)  # distance of colours, half of the lightness; share of the photo that may have them
+_ALONG: Final = 0.06  # share of a rope that may lie along other ones
+_CROSSES: Final = np.radians(25)  # a smaller angle is no crossing
+_TIP: Final = 0.75  # widths
 _LEEWAY: Final = 3  # pixels around the object in which colours mix
 
 
@@ -99,10 +102,11 @@ class Setting:
         ignored = (aside > 0.25) & ~mask
         axis, width = np.zeros((0, 2)), 0.0
         if isinstance(each, Strand) and self.kinds[target] in THIN:
-            inset = round(each.width / 2)
+            inset = round(_TIP * each.width)  # tips, and what the photo's border cuts, have no certain axis
             axis, width = each.curve[inset : len(each.curve) - inset], each.width
             at = np.round(axis).astype(int)
-            inside = ((at >= 0) & (at < SIZE[::-1])).all(axis=1)
+            border = each.width / 2
+            inside = ((at >= border) & (at < np.array(SIZE[::-1]) - border)).all(axis=1)
             axis, at = axis[inside], at[inside]
             axis = axis[mask[at[:, 1], at[:, 0]]]
         return ObjectPhoto(rgb, mask, ignored, self.kinds[target], axis, width)
@@ -215,9 +219,11 @@ def _colour(rng: np.random.Generator, colours: str) -> Field:
     return linear(some[int(rng.integers(len(some)))]) * np.exp(rng.normal(0, 0.12, 3)).astype(np.float32)
 
 
-def _looks(rng: np.random.Generator, count: int, makes: tuple[Make, ...], gloss: float) -> list[Look]:
-    """Return the looks of strands: unlike ones, or, four times in ten, some that are nearly or exactly the same."""
-    like = float(rng.choice([0.0, 0.06, 0.25])) if rng.random() < 0.4 else None
+def _looks(
+    rng: np.random.Generator, count: int, makes: tuple[Make, ...], gloss: float, *, unlike: bool = False
+) -> list[Look]:
+    """Return the looks of strands: of any colours, or, one time in four, some that are nearly or exactly the same."""
+    like = float(rng.choice([0.0, 0.06, 0.25])) if rng.random() < 0.25 and not unlike else None
     looks: list[Look] = []
     for _ in range(count):
         colour, make = _colour(rng, _JACKETS), makes[int(rng.integers(len(makes)))]
@@ -244,16 +250,37 @@ def _ropes(rng: np.random.Generator) -> list[Object]:
     count = int(rng.choice([1, 2, 3, 4], p=[0.35, 0.3, 0.2, 0.15]))
     widths = [float(w) for w in np.exp(rng.uniform(np.log(9), np.log(40 if count < 3 else 24))) * rng.uniform(0.8, 1.2, count)]
     looks = _looks(rng, count, ("twisted", "braided", "smooth", "twisted", "ribbed", "braided"), 0.15)
-    return _strands(rng, [bent(rng, w) for w in widths], widths, looks)
+    return _strands(rng, _bent_apart(rng, widths), widths, looks)
+
+
+def _bent_apart(rng: np.random.Generator, widths: list[float]) -> list[Array]:
+    """Return axes of ropes or wires that cross, and seldom lie along one another."""
+    curves, ways = list[Array](), list[Array]()
+    for width in widths:
+        curve = way = np.zeros((0, 2))
+        for _ in range(_TRIES):
+            curve = bent(rng, width)
+            way = np.gradient(curve, axis=0)
+            if not curves:
+                break
+            others, theirs = np.concatenate(curves)[::5], np.concatenate(ways)[::5]
+            near = np.linalg.norm(curve[::5, None] - others, axis=2) < 0.6 * (width + max(widths))
+            if (near & (np.abs(way[::5] @ theirs.T) > np.cos(_CROSSES))).any(axis=1).mean() < _ALONG:
+                break
+        curves.append(curve)
+        ways.append(way)
+    return curves
 
 
 def _wires(rng: np.random.Generator) -> list[Object]:
-    """Return wires that cross, or, one time in six, a harness whose wires run side by side."""
-    count, width = int(rng.integers(1, 7)), float(np.exp(rng.uniform(np.log(3.2), np.log(11))))
-    looks = _looks(rng, count, ("smooth", "smooth", "smooth", "braided", "marked"), 0.8)
-    if count < 3 or rng.random() < 0.75:
+    """Return wires that cross, or, now and then, a harness whose wires run side by side."""
+    count, width = int(rng.choice(6, p=(0.2, 0.25, 0.2, 0.15, 0.1, 0.1))) + 1, float(np.exp(rng.uniform(np.log(3.2), np.log(11))))
+    harness = count > 2 and rng.random() < 0.2
+    looks = _looks(rng, count, ("smooth", "smooth", "smooth", "braided", "marked"), 0.8, unlike=harness)
+    width = max(width, 5.0) if harness else width
+    if not harness:
         widths = [width * float(rng.uniform(0.75, 1.3)) for _ in range(count)]
-        return _strands(rng, [bent(rng, w) for w in widths], widths, looks)
+        return _strands(rng, _bent_apart(rng, widths), widths, looks)
     axis = bent(rng, 6 * width)
     way = np.gradient(axis, axis=0)
     normal, share = np.stack([-way[:, 1], way[:, 0]], axis=1), np.linspace(0, 1, len(axis))
@@ -261,7 +288,7 @@ def _wires(rng: np.random.Generator) -> list[Object]:
     for place in rng.permutation(count) - (count - 1) / 2:
         fan = sum(rng.uniform(0, 4) * np.clip(np.abs(share - end) * -4 + 1, 0, 1) ** 2 for end in (0, 1))
         sway = rng.uniform(0, 0.5) * np.sin(share * rng.uniform(4, 20) + rng.uniform(0, 6))
-        curves.append(axis + (width * (place * (rng.uniform(1.05, 1.3) + fan) + sway))[:, None] * normal)
+        curves.append(axis + (width * (place * (rng.uniform(1.15, 1.5) + fan) + sway))[:, None] * normal)
     return _strands(rng, curves, [width] * count, looks)
 
 
@@ -274,7 +301,7 @@ def _rings(rng: np.random.Generator) -> list[Object]:
         radius = rng.uniform(45, 150)
         out = radius * (1 + sum(rng.uniform(0, 0.16) / k * np.cos(k * around + rng.uniform(0, 6)) for k in (2, 3, 4)))
         curve = rng.uniform((0.25, 0.25), (0.75, 0.75)) * SIZE[::-1] + out[:, None] * np.stack([np.cos(around), np.sin(around)], 1)
-        width = float(rng.uniform(0.1, 0.4) * radius)
+        width = float(max(rng.uniform(0.12, 0.4) * radius, 14))
         rings.append(Strand(curve, width, np.full(700, rng.uniform(0, width)), look))
     return rings
 
@@ -292,7 +319,7 @@ def _sheet(rng: np.random.Generator, garment: bool) -> Sheet:
     for k in (2, 3, 5, 8):
         wave = np.sin(around[:, ::-1] * k * rng.uniform(0.6, 1.4, 2) + rng.uniform(0, 6, 2))
         around = around + rng.uniform(0, 0.09) / k * wave
-    turn, reach = rng.uniform(0, 2 * np.pi), rng.uniform(90, 190)
+    turn, reach = rng.uniform(0, 2 * np.pi), rng.uniform(100, 210)
     way = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
     around = around @ way * reach + rng.uniform((0.35, 0.4), (0.65, 0.6)) * SIZE[::-1]
     flap, rest = None, around

@@ -32,7 +32,7 @@ def bent(rng: np.random.Generator, width: float) -> Array:
         heading = rng.uniform(0, 2 * np.pi) + sum(
             a * np.sin((k + 1) * np.pi * share + rng.uniform(0, 6)) for k, a in enumerate(bends)
         )
-        if np.abs(np.gradient(heading)).max() > 1 / max(1.3 * width, 12):
+        if np.abs(np.gradient(heading)).max() > 1 / max(2.2 * width, 14):
             continue
         curve = np.cumsum(np.stack([np.cos(heading), np.sin(heading)], axis=1), axis=0)
         curve += rng.uniform((0.35, 0.35), (0.65, 0.65)) * SIZE[::-1] - (curve.min(axis=0) + curve.max(axis=0)) / 2
