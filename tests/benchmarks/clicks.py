@@ -27,11 +27,11 @@ from shape_obs.image.find_region import segment
 from shape_obs.image.roi import Whole, Window
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.utils.arrays import read_image
+from shape_obs.utils.threads import one_thread
 from tests.benchmarks.claim import Claim, Limit
 from tests.benchmarks.scenes.grounds import GROUNDS
 from tests.benchmarks.scenes.object_photos import KINDS, THIN, ObjectPhoto, object_photos, object_sequence
 from tests.benchmarks.tables import Row, median, of, percent
-from shape_obs.utils.threads import one_thread
 from tests.benchmarks.timing import Method, median_ms, time_methods, timed
 
 Pixel = tuple[float, float]

@@ -81,7 +81,8 @@ class Pile:
             return
         self._sweep(each, owner, each.curve, each.lift, each.width)
         for begin, end in each.sleeves:
-            part = slice(int(begin * len(each.curve)), max(int(end * len(each.curve)), int(begin * len(each.curve)) + 2))
+            first = int(begin * len(each.curve))
+            part = slice(first, max(int(end * len(each.curve)), first + 2))
             self._sweep(each, SLEEVE + owner, each.curve[part], each.lift[part], 1.2 * each.width + 0.6)
 
     def _sweep(self, strand: Strand, owner: int, curve: Array, lift: Array, width: float) -> None:
@@ -96,8 +97,7 @@ class Pile:
         dome = 0.0 if strand.look.make == "flat" else 1 / FINER
         bit = 1 << owner if owner < SLEEVE else 0
         _swept(axis, half, dome, _JUST_LAID, bit, self.height, self.owner, self._where, self.covered)
-        low, high = (edge(axis[:, :2], axis=0) for edge in (np.min, np.max))
-        box = self._box(low - half.max(), high + half.max())
+        box = self._box(axis[:, :2].min(axis=0) - half.max(), axis[:, :2].max(axis=0) + half.max())
         on = self.owner[box] == _JUST_LAID
         self.owner[box][on] = owner
         place = self._where[box][on]
@@ -229,7 +229,8 @@ def _sheet_surface(look: Look, outline: Array) -> tuple[Field, Field]:
         centre, reach = (0.5 + rng.normal(0, 0.05, 2)) * high, 0.12 * high.min()
         for _ in range(int(rng.integers(2, 7))):
             at = np.round(centre + rng.normal(0, reach, 2)).astype(int).tolist()
-            cv2.ellipse(mix, at, (rng.uniform(0.3, 1, 2) * reach).astype(int).tolist(), rng.uniform(0, 180), 0, 360, 1, -1)
+            axes = (rng.uniform(0.3, 1, 2) * reach).astype(int).tolist()
+            cv2.ellipse(mix, at, axes, rng.uniform(0, 180), 0, 360, (1.0,), -1)
     elif look.pattern == "text":
         line, word = b / 26 % 1, rng.random(997)[((b // 26) * 37 + a // 19).astype(int) % 997]
         mix = ((line > 0.45) & (line < 0.75) & (word > 0.25) & (np.sin(a * 1.3) > -0.4)) * 0.75

@@ -7,8 +7,9 @@ picture.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final, Literal, get_args
 
 import cv2
@@ -82,24 +83,20 @@ class Setting:
         pile = Pile(self.ground)
         for each in self.below:
             pile.add(each, THING)
-        order = sorted(range(len(self.objects)), key=lambda k: isinstance(self.objects[k], Strand))
-        under = pile.height
-        for k in order:
-            each = self.objects[k]
+        for k, each in enumerate(self.objects):
+            if isinstance(each, Sheet):
+                pile.add(each, k)
+        under = pile.height.copy()
+        for k, each in enumerate(self.objects):
             if isinstance(each, Strand):
-                each = replace(each, lift=each.lift + _height_below(under, each))
-            else:
-                under = pile.height
-            pile.add(each, k)
-            under = under if isinstance(self.objects[k], Strand) else pile.height.copy()
+                pile.add(replace(each, lift=each.lift + _height_below(under, each)), k)
         for each in self.above:
             pile.add(each, THING)
         rgb = self.camera.take(rng, self.light.on(pile))
-        own = (pile.owner == target).astype(np.float32)
-        lies = (pile.covered >> target & 1 > 0) & (pile.owner != target) | (pile.owner == SLEEVE + target)
-        seen, aside = (cv2.resize(part.astype(np.float32), SIZE[::-1], interpolation=cv2.INTER_AREA) for part in (own, lies))
-        mask, each = seen > 0.5, self.objects[target]
-        ignored = (aside > 0.25) & ~mask
+        own = pile.owner == target
+        aside = ((pile.covered >> target) & 1 > 0) & ~own | (pile.owner == SLEEVE + target)
+        mask, each = _reduced(own) > 0.5, self.objects[target]
+        ignored = (_reduced(aside) > 0.25) & ~mask
         axis, width = np.zeros((0, 2)), 0.0
         if isinstance(each, Strand) and self.kinds[target] in THIN:
             inset = round(_TIP * each.width)  # tips, and what the photo's border cuts, have no certain axis
@@ -163,8 +160,8 @@ def _found(rng: np.random.Generator, kind: Kind, name: str) -> tuple[Setting, in
         setting = _setting(rng, kind, name)
         target = int(rng.choice([k for k, each in enumerate(setting.kinds) if each == kind]))
         photo = setting.photo(rng, target)
-        shown, hidden = np.count_nonzero(photo.mask), np.count_nonzero(photo.ignored)
-        found = min(shown / photo.mask.size / _SEEN[0], shown / max(shown + hidden, 1) / _SEEN[1], _contrast(photo) / _CONTRAST)
+        shown, hidden = float(photo.mask.mean()), float(photo.ignored.mean())
+        found = min(shown / _SEEN[0], shown / (shown + hidden + 1e-9) / _SEEN[1], _contrast(photo) / _CONTRAST)
         if best is None or found > best[0]:
             best = found, setting, target, photo
         if found >= 1:
@@ -185,6 +182,11 @@ def _contrast(photo: ObjectPhoto) -> float:
     return float(np.linalg.norm(np.median(lab[photo.mask], axis=0) - np.median(lab[around], axis=0)))
 
 
+def _reduced(fine: Mask) -> Field:
+    """Return the share of each pixel of the photo."""
+    return np.asarray(cv2.resize(fine.astype(np.float32), SIZE[::-1], interpolation=cv2.INTER_AREA), np.float32)
+
+
 def _height_below(under: Field, strand: Strand) -> Array:
     """Return how high a strand is raised by what it lies on, smoothly, at the points of its curve."""
     low = cv2.blur(cv2.dilate(under[::8, ::8], np.ones((3, 3), np.uint8)), (5, 5))
@@ -195,12 +197,11 @@ def _height_below(under: Field, strand: Strand) -> Array:
 def _setting(rng: np.random.Generator, kind: Kind, name: str) -> Setting:
     """Draw a setting with at least one object of a kind."""
     field = ground(rng, name, (SIZE[0] * FINER, SIZE[1] * FINER))
-    makers = {"rope": _ropes, "wire": _wires, "ring": _rings}
-    objects = makers[kind](rng) if kind in makers else [_sheet(rng, kind == "garment") for _ in range(rng.integers(1, 3))]
+    objects = _MAKERS[kind](rng)
     kinds: list[Kind] = [kind] * len(objects)
     if rng.random() < 0.25:
         more: Kind = "wire" if kind != "wire" else "rope"
-        some = makers[more](rng)[:2]
+        some = _MAKERS[more](rng)[:2]
         objects, kinds = [*objects, *some], [*kinds, *([more] * len(some))]
     below = clutter(rng, int(rng.integers(5, 16)) if rng.random() < 0.3 else int(rng.integers(0, 3)))
     above: list[Object] = []
@@ -248,7 +249,8 @@ def _strands(rng: np.random.Generator, curves: list[Array], widths: list[float],
 
 def _ropes(rng: np.random.Generator) -> list[Object]:
     count = int(rng.choice([1, 2, 3, 4], p=[0.35, 0.3, 0.2, 0.15]))
-    widths = [float(w) for w in np.exp(rng.uniform(np.log(9), np.log(40 if count < 3 else 24))) * rng.uniform(0.8, 1.2, count)]
+    width = np.exp(rng.uniform(np.log(9), np.log(40 if count < 3 else 24)))
+    widths = (width * rng.uniform(0.8, 1.2, count)).tolist()
     looks = _looks(rng, count, ("twisted", "braided", "smooth", "twisted", "ribbed", "braided"), 0.15)
     return _strands(rng, _bent_apart(rng, widths), widths, looks)
 
@@ -274,7 +276,8 @@ def _bent_apart(rng: np.random.Generator, widths: list[float]) -> list[Array]:
 
 def _wires(rng: np.random.Generator) -> list[Object]:
     """Return wires that cross, or, now and then, a harness whose wires run side by side."""
-    count, width = int(rng.choice(6, p=(0.2, 0.25, 0.2, 0.15, 0.1, 0.1))) + 1, float(np.exp(rng.uniform(np.log(3.2), np.log(11))))
+    count = int(rng.choice(6, p=(0.2, 0.25, 0.2, 0.15, 0.1, 0.1))) + 1
+    width = float(np.exp(rng.uniform(np.log(3.2), np.log(11))))
     harness = count > 2 and rng.random() < 0.2
     looks = _looks(rng, count, ("smooth", "smooth", "smooth", "braided", "marked"), 0.8, unlike=harness)
     width = max(width, 5.0) if harness else width
@@ -300,10 +303,16 @@ def _rings(rng: np.random.Generator) -> list[Object]:
     for look in _looks(rng, int(rng.integers(1, 4)), makes, 0.5):
         radius = rng.uniform(45, 150)
         out = radius * (1 + sum(rng.uniform(0, 0.16) / k * np.cos(k * around + rng.uniform(0, 6)) for k in (2, 3, 4)))
-        curve = rng.uniform((0.25, 0.25), (0.75, 0.75)) * SIZE[::-1] + out[:, None] * np.stack([np.cos(around), np.sin(around)], 1)
+        centre = rng.uniform((0.25, 0.25), (0.75, 0.75)) * SIZE[::-1]
+        curve = centre + out[:, None] * np.stack([np.cos(around), np.sin(around)], axis=1)
         width = float(max(rng.uniform(0.12, 0.4) * radius, 14))
         rings.append(Strand(curve, width, np.full(700, rng.uniform(0, width)), look))
     return rings
+
+
+def _sheets(rng: np.random.Generator, *, garments: bool) -> list[Object]:
+    """Return one or two towels, or garments."""
+    return [_sheet(rng, garments) for _ in range(rng.integers(1, 3))]
 
 
 def _sheet(rng: np.random.Generator, garment: bool) -> Sheet:
@@ -312,7 +321,8 @@ def _sheet(rng: np.random.Generator, garment: bool) -> Sheet:
         outline = _GARMENTS[int(rng.integers(len(_GARMENTS)))] * rng.uniform(0.85, 1.15, 2)
     else:
         outline = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (1, rng.uniform(0.55, 1.0))
-    around = np.concatenate([np.linspace(a, b, 40, endpoint=False) for a, b in zip(outline, np.roll(outline, -1, 0), strict=True)])
+    sides = zip(outline, np.roll(outline, -1, axis=0), strict=True)
+    around = np.concatenate([np.linspace(a, b, 40, endpoint=False) for a, b in sides])
     kernel = np.hanning(int(rng.integers(5, 13)))
     padded = np.concatenate([around[-8:], around, around[:8]])
     around = np.stack([np.convolve(c, kernel / kernel.sum(), "same") for c in padded.T], axis=1)[8:-8]
@@ -347,3 +357,7 @@ _GARMENTS: Final = tuple(
         ((0.15, -0.9), (0.38, -1.0), (1.0, 0.55), (0.75, 0.65), (0.5, -0.1), (0.52, 0.9)),  # a jumper
     )
 )
+_MAKERS: Final[dict[Kind, Callable[[np.random.Generator], list[Object]]]] = {
+    "rope": _ropes, "wire": _wires, "ring": _rings,
+    "sheet": partial(_sheets, garments=False), "garment": partial(_sheets, garments=True),
+}  # fmt: skip

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from shape_obs.bench.scenes import SIZE
-from tests.benchmarks.scenes.height_field import FINER, Array, Field, Image, unit
+from tests.benchmarks.scenes.height_field import Array, Field, Image, unit
 from tests.benchmarks.scenes.laid_objects import Pile
 
 _MARCH: Final = (1.0, 2.5, 4.5, 7.0, 11.0, 17.0, 26.0, 40.0)  # pixels towards the light at which shadows are looked for

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -11,6 +12,12 @@ from shape_obs.bench.scenes import SIZE
 from tests.benchmarks.scenes.grounds import linear
 from tests.benchmarks.scenes.height_field import Array
 from tests.benchmarks.scenes.laid_objects import Look, Make, Print, Sheet, Strand
+
+Things = list[Strand | Sheet]
+_BRIGHT: Final = "c62f2b e0a020 2c62b0 222426 3a8a50 d8d8d4 6c7075"
+_BOXES, _LABELS, _PAGES = "b08a5a 3a3c40 d8d6d0 285a8c 6f7478", "ecebe6 d0b040 303236", "efeeea 4a4c50 f4f2ec"
+_METAL, _TAPES, _STEEL = "8f9296 b8babd 5c5a55 b09a60", "d8c8a0 202224 2858a0 e8e6e0 b83028", "26282b a9acb0 6d7074"
+_SKIN, _CLOTH = "e0b090 c98f6c 8a5a3c f0c8a8 5c3b28 d8a07c", "38465c 9c9a94 20242a e6e2da"
 
 
 def moved(each: Strand | Sheet, move: Callable[[Array], Array]) -> Strand | Sheet:
@@ -41,10 +48,10 @@ def bent(rng: np.random.Generator, width: float) -> Array:
             return curve
 
 
-def _look(rng: np.random.Generator, colours: str, gloss: float, make: Make = "smooth", pattern: Print = "plain") -> Look:
+def _look(rng: np.random.Generator, colours: str, gloss: float, make: Make = "smooth", print_: Print = "plain") -> Look:
     some = colours.split()
     colour, second = (linear(some[int(rng.integers(len(some)))]) for _ in range(2))
-    return Look(colour, second, gloss, make, pattern, seed=int(rng.integers(1 << 30)))
+    return Look(colour, second, gloss, make, print_, seed=int(rng.integers(1 << 30)))
 
 
 def _rod(at: Array, angle: float, begin: float, end: float, width: float, look: Look, *, lift: float = 0.0) -> Strand:
@@ -61,66 +68,67 @@ def _slab(at: Array, angle: float, sides: Array, look: Look, thick: float) -> Sh
     return Sheet(outline, outline, look, thick)
 
 
-def clutter(rng: np.random.Generator, count: int) -> list[Strand | Sheet]:
+def clutter(rng: np.random.Generator, count: int) -> Things:
     """Return tools, screws, nuts, pens, boxes, papers and rolls of tape."""
-    things: list[Strand | Sheet] = []
+    things: Things = []
     for _ in range(count):
         at, angle = rng.uniform((0, 0), SIZE[::-1]), float(rng.uniform(0, 2 * np.pi))
         what = int(rng.integers(8))
-        bright = "c62f2b e0a020 2c62b0 222426 3a8a50 d8d8d4 6c7075"
-        if what == 0:  # a box, or a part of a machine
+        if what == 0:  # a box, or a part of a machine, with a label
             sides = rng.uniform(40, 170, 2)
-            things.append(_slab(at, angle, sides, _look(rng, "b08a5a 3a3c40 d8d6d0 285a8c 6f7478", 0.1), rng.uniform(4, 20)))
-            things.append(_slab(at, angle, sides * rng.uniform(0.3, 0.7, 2), _look(rng, "ecebe6 d0b040 303236", 0.1, pattern="text"), 0.6))
-        elif what == 1:  # a page
-            things.append(_slab(at, angle, rng.uniform((150, 200), (260, 340)), _look(rng, "efeeea 4a4c50 f4f2ec", 0.05, pattern="text"), 0.5))
+            things.append(_slab(at, angle, sides, _look(rng, _BOXES, 0.1), rng.uniform(4, 20)))
+            sides *= rng.uniform(0.3, 0.7, 2)
+            things.append(_slab(at, angle, sides, _look(rng, _LABELS, 0.1, print_="text"), 0.6))
+        elif what == 1:
+            sides = rng.uniform((150, 200), (260, 340))
+            things.append(_slab(at, angle, sides, _look(rng, _PAGES, 0.05, print_="text"), 0.5))
         elif what == 2:  # a screwdriver
             wide, long = rng.uniform(16, 26), rng.uniform(60, 90)
-            things += [_rod(at, angle, 0, long, wide, _look(rng, bright, 0.5, "ribbed")),
-                       _rod(at, angle, long, long * rng.uniform(2, 2.6), 0.25 * wide, _look(rng, "a8abb0", 0.9), lift=wide / 3)]  # fmt: skip
-        elif what == 3:  # a pen
-            long, wide, look = rng.uniform(120, 190), rng.uniform(6, 11), _look(rng, bright, 0.6)
-            things += [_rod(at, angle, 0, long, wide, look), _rod(at, angle, 0.7 * long, long, 1.15 * wide, replace(look, colour=look.second))]
+            things.append(_rod(at, angle, 0, long, wide, _look(rng, _BRIGHT, 0.5, "ribbed")))
+            end = long * rng.uniform(2, 2.6)
+            things.append(_rod(at, angle, long, end, wide / 4, _look(rng, "a8abb0", 0.9), lift=wide / 3))
+        elif what == 3:  # a pen with its cap
+            long, wide, look = rng.uniform(120, 190), rng.uniform(6, 11), _look(rng, _BRIGHT, 0.6)
+            things.append(_rod(at, angle, 0, long, wide, look))
+            things.append(_rod(at, angle, 0.7 * long, long, 1.15 * wide, replace(look, colour=look.second)))
         elif what == 4:  # a roll of tape
             turn, radius, wide = np.linspace(0, 2 * np.pi, 300), rng.uniform(35, 70), rng.uniform(14, 26)
             ring = at + radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-            things.append(Strand(ring, wide, np.full(300, 6.0), _look(rng, "d8c8a0 202224 2858a0 e8e6e0 b83028", 0.3, "flat")))
-        else:  # a handful of screws and nuts
-            for _ in range(int(rng.integers(2, 9))):
+            things.append(Strand(ring, wide, np.full(300, 6.0), _look(rng, _TAPES, 0.3, "flat")))
+        else:
+            for _ in range(int(rng.integers(2, 9))):  # screws
                 there, way = at + rng.normal(0, 45, 2), float(rng.uniform(0, 2 * np.pi))
-                metal, wide = _look(rng, "8f9296 b8babd 5c5a55 b09a60", 0.9), rng.uniform(4, 8)
-                things += [_rod(there, way, 0, rng.uniform(14, 34), wide, replace(metal, make="ribbed")),
-                           _rod(there, way, -0.7 * wide, 0.3 * wide, 1.9 * wide, metal, lift=1)]  # fmt: skip
+                metal, wide = _look(rng, _METAL, 0.9), rng.uniform(4, 8)
+                things.append(_rod(there, way, 0, rng.uniform(14, 34), wide, replace(metal, make="ribbed")))
+                things.append(_rod(there, way, -0.7 * wide, 0.3 * wide, 1.9 * wide, metal, lift=1))
     return things
 
 
-def hand(rng: np.random.Generator, at: Array, angle: float) -> list[Strand | Sheet]:
+def hand(rng: np.random.Generator, at: Array, angle: float) -> Things:
     """Return a hand whose fingers are at a place, and that reaches to it from the direction opposite to ``angle``."""
-    palm = float(rng.uniform(75, 130))
-    skin = _look(rng, "e0b090 c98f6c 8a5a3c f0c8a8 5c3b28 d8a07c", 0.12)
+    palm, skin = float(rng.uniform(75, 130)), _look(rng, _SKIN, 0.12)
     way, side = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
-    wrist = at - way * 1.5 * palm
-    parts: list[Strand | Sheet] = [
-        _rod(wrist, angle, -900, 0.2 * palm, 0.72 * palm, _look(rng, "38465c 9c9a94 20242a e6e2da", 0.03) if rng.random() < 0.5 else skin, lift=6),
-        _rod(wrist, angle, 0, 0.55 * palm, palm, skin, lift=2),
-    ]
+    wrist, sleeve = at - way * 1.5 * palm, _look(rng, _CLOTH, 0.03) if rng.random() < 0.5 else skin
+    parts: Things = [_rod(wrist, angle, -900, 0.2 * palm, 0.72 * palm, sleeve, lift=6)]
+    parts.append(_rod(wrist, angle, 0, 0.55 * palm, palm, skin, lift=2))
+    steps = np.linspace(0, 1, 80)
     for k, long in enumerate((0.8, 0.95, 1.0, 0.85)):
-        base = wrist + way * 0.5 * palm + side * (k - 1.5) * 0.23 * palm
-        steps = np.linspace(0, 1, 80)
         bend = rng.normal(0, 0.12) + 0.12 * (k - 1.5)
-        curve = base + palm * long * (steps[:, None] * way + (bend * steps**2)[:, None] * side)
-        parts.append(Strand(curve, 0.24 * palm, np.linspace(0.5 * palm, 12, 80), skin, rounded=True))
+        finger = palm * long * (steps[:, None] * way + (bend * steps**2)[:, None] * side)
+        base = wrist + way * 0.5 * palm + side * (k - 1.5) * 0.23 * palm
+        parts.append(Strand(base + finger, 0.24 * palm, np.linspace(0.5 * palm, 12, 80), skin, rounded=True))
     thumb = wrist + way * 0.2 * palm - side * 0.4 * palm
     parts.append(_rod(thumb, angle - rng.uniform(0.2, 0.8), 0, 0.75 * palm, 0.27 * palm, skin, lift=0.3 * palm))
     return parts
 
 
-def gripper(rng: np.random.Generator, at: Array, angle: float) -> list[Strand | Sheet]:
-    """Return the two jaws of a gripper that closes at a place."""
-    look, wide, long = _look(rng, "26282b a9acb0 6d7074 d8d8d6", 0.4), rng.uniform(14, 30), rng.uniform(50, 110)
+def gripper(rng: np.random.Generator, at: Array, angle: float) -> Things:
+    """Return the two jaws of a gripper that closes at a place, and its palm."""
+    look, wide, long = _look(rng, _STEEL, 0.4), rng.uniform(14, 30), rng.uniform(50, 110)
     way, side = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
-    jaws: list[Strand | Sheet] = [
-        _slab(at - way * long / 2 + side * k * rng.uniform(0.8, 1.4) * wide, angle, np.array([long, wide]), look, 30) for k in (-1, 1)
-    ]
+    parts: Things = []
+    for k in (-1, 1):
+        middle = at - way * long / 2 + side * k * rng.uniform(0.8, 1.4) * wide
+        parts.append(_slab(middle, angle, np.array([long, wide]), look, 30))
     palm = replace(look, colour=look.second)
-    return [*jaws, _slab(at - way * (long + 200), angle, np.array([420, 5 * wide]), palm, 40)]
+    return [*parts, _slab(at - way * (long + 200), angle, np.array([420, 5 * wide]), palm, 40)]
