@@ -13,13 +13,14 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from tests.benchmarks.scenes.height_field import Array, Field, Size, grain
+from tests.benchmarks.scenes.height_field import Field, Size, grain
 
+Picture = npt.NDArray[np.floating]  # (H, W, 3) linear reflectance, or (H, W) of one share
 _GAMMA: Final = 2.2
 _TILT: Final = 0.12  # how far a corner of the ground moves when the camera leans, in widths of the photo
 
 
-def linear(colour: str | npt.NDArray[np.floating]) -> Field:
+def linear(colour: str | Picture) -> Field:
     """Return the linear reflectance of an sRGB colour: ``"d0a070"``, or an array of 0 to 255."""
     values = np.array([int(colour[k : k + 2], 16) for k in (0, 2, 4)]) if isinstance(colour, str) else colour
     return np.asarray((np.clip(values, 3, 250) / 255) ** _GAMMA, np.float32)
@@ -55,13 +56,13 @@ def _raster(rng: np.random.Generator, size: Size, turn: float) -> tuple[Field, F
     return u * cos + v * sin, v * cos - u * sin
 
 
-def _lines(coordinate: Field, pitch: float, wide: float) -> Field:
+def _lines(coordinate: Picture, pitch: float, wide: float) -> Picture:
     """Return where lines at a pitch are, ``(H, W, 1)``, 0 to 1, with soft borders."""
     off = np.abs((coordinate / pitch + 0.5) % 1 - 0.5) * pitch
     return np.clip(wide / 2 + 0.5 - off, 0, 1)[..., None]
 
 
-def _spots(rng: np.random.Generator, picture: Field, count: int, reach: tuple[float, float], dark: float) -> Field:
+def _spots(rng: np.random.Generator, picture: Picture, count: int, reach: tuple[float, float], dark: float) -> Picture:
     """Darken, or lighten, round spots."""
     layer = np.zeros(picture.shape[:2], np.float32)
     for _ in range(count):
@@ -71,7 +72,7 @@ def _spots(rng: np.random.Generator, picture: Field, count: int, reach: tuple[fl
     return picture * (1 - dark * layer[..., None])
 
 
-def _wood(rng: np.random.Generator, size: Size) -> Field:
+def _wood(rng: np.random.Generator, size: Size) -> Picture:
     u, v = _raster(rng, size, 0.5 if rng.random() < 0.7 else 1.6)
     pale, deep = _one_of(rng, "d9b98c c89f6b b98a58 8a5f3c e3cfae 6b4a32"), rng.uniform(0.45, 0.75)
     away = v / rng.uniform(14, 40) + 0.6 * grain(rng, size, (500, 120))[..., 0]
@@ -90,7 +91,7 @@ def _wood(rng: np.random.Generator, size: Size) -> Field:
     return picture
 
 
-def _bench(rng: np.random.Generator, size: Size) -> Field:
+def _bench(rng: np.random.Generator, size: Size) -> Picture:
     picture = _one_of(rng, "a08c70 8c7b66 77706a b5a184 5f5a55") * np.exp(0.14 * _rough(rng, size, 220, 60, 12, 3))
     picture = _spots(rng, picture, int(rng.integers(3, 12)), (10, 90), rng.uniform(0.1, 0.45))
     picture = _spots(rng, picture, int(rng.integers(10, 60)), (1, 5), rng.uniform(0.2, 0.7))
@@ -98,27 +99,27 @@ def _bench(rng: np.random.Generator, size: Size) -> Field:
     for _ in range(int(rng.integers(15, 60))):
         start, way = rng.uniform((0, 0), size[::-1]), rng.normal(0, 90, 2)
         ends = [np.round(each).astype(int).tolist() for each in (start, start + way)]
-        cv2.line(marks, *ends, rng.uniform(-0.4, 0.3), int(rng.integers(1, 3)), cv2.LINE_AA)
+        cv2.line(marks, ends[0], ends[1], (rng.uniform(-0.4, 0.3),), int(rng.integers(1, 3)), cv2.LINE_AA)
     if rng.random() < 0.5:  # where a cup stood
         at, reach = rng.uniform((0, 0), size[::-1]).astype(int).tolist(), int(rng.uniform(50, 90))
         cv2.circle(marks, at, reach, -0.35, int(rng.integers(3, 9)), cv2.LINE_AA)
     return picture * np.exp(marks[..., None])
 
 
-def _laminate(rng: np.random.Generator, size: Size) -> Field:
+def _laminate(rng: np.random.Generator, size: Size) -> Picture:
     base = _one_of(rng, "d8d4cc b9b6b0 8f9092 e6e0d2 5a5d62 a7adb0 c9bda8") * np.exp(0.03 * _rough(rng, size, 300))
     for colour in ("303030 504840", "f4f2ee d0c8b8"):
-        fleck = _rough(rng, size, rng.integers(2, 5), 2)
+        fleck = _rough(rng, size, float(rng.integers(2, 5)), 2)
         base = np.where(fleck > rng.uniform(1.3, 2.2), 0.5 * base + 0.5 * _one_of(rng, colour), base)
     return base
 
 
-def _concrete(rng: np.random.Generator, size: Size) -> Field:
+def _concrete(rng: np.random.Generator, size: Size) -> Picture:
     picture = _one_of(rng, "9a9890 b3b0a8 7f7d79 8b8780") * np.exp(0.1 * _rough(rng, size, 260, 90, 30, 8, 2))
     return _spots(rng, picture, int(rng.integers(40, 200)), (1, 4), rng.uniform(0.3, 0.7))
 
 
-def _pegboard(rng: np.random.Generator, size: Size) -> Field:
+def _pegboard(rng: np.random.Generator, size: Size) -> Picture:
     """Draw a board with round holes: hardboard, or the aluminium plate of a laboratory."""
     u, v = _raster(rng, size, 0.3)
     metal = rng.random() < 0.5
@@ -131,7 +132,7 @@ def _pegboard(rng: np.random.Generator, size: Size) -> Field:
     return board * (1 + rim) * (1 - 0.93 * inside)
 
 
-def _breadboard(rng: np.random.Generator, size: Size) -> Field:
+def _breadboard(rng: np.random.Generator, size: Size) -> Picture:
     u, v = _raster(rng, size, 1.6)
     pitch = rng.uniform(22, 40)
     row = np.floor(v / pitch) % 14
@@ -144,7 +145,7 @@ def _breadboard(rng: np.random.Generator, size: Size) -> Field:
     return np.where((row == 6)[..., None], board * 0.7, board)
 
 
-def _mat(rng: np.random.Generator, size: Size) -> Field:
+def _mat(rng: np.random.Generator, size: Size) -> Picture:
     u, v = _raster(rng, size, 0.6)
     mat = _one_of(rng, "2f6b52 2d5d6e 3b3f45 27415f 6a6f73 1f5a48") * np.exp(0.05 * _rough(rng, size, 120, 5, 2))
     ink, pitch = _one_of(rng, "d8d890 e8e8e8 c8d8d0"), rng.uniform(44, 90)
@@ -155,7 +156,7 @@ def _mat(rng: np.random.Generator, size: Size) -> Field:
     return mat * (1 - across) + ink * across
 
 
-def _cloth(rng: np.random.Generator, size: Size) -> Field:
+def _cloth(rng: np.random.Generator, size: Size) -> Picture:
     u, v = _raster(rng, size, 1.6)
     u, v = u + 4 * grain(rng, size, (150, 150))[..., 0], v + 4 * grain(rng, size, (150, 150))[..., 0]
     base = _one_of(rng, "c9c0b2 5d6b80 8a4f4a 404348 d9d4c9 6f7a5c b08d6a 2e3950 9a9aa2")
@@ -171,7 +172,7 @@ def _cloth(rng: np.random.Generator, size: Size) -> Field:
     return picture
 
 
-def _paper(rng: np.random.Generator, size: Size) -> Field:
+def _paper(rng: np.random.Generator, size: Size) -> Picture:
     """Draw crumpled paper: facets that the light meets at unlike angles, with creases between them."""
     light = 0.05 * _rough(rng, size, 200, 40)[..., 0]
     for count, strength in ((rng.integers(25, 70), 0.13), (rng.integers(120, 300), 0.07)):
@@ -185,14 +186,14 @@ def _paper(rng: np.random.Generator, size: Size) -> Field:
     return _one_of(rng, "e9e6df c9a878 f2efe8 d8d2c0") * np.exp(np.clip(light, -0.5, 0.3))[..., None]
 
 
-def _carpet(rng: np.random.Generator, size: Size) -> Field:
+def _carpet(rng: np.random.Generator, size: Size) -> Picture:
     base, other = _one_of(rng, "6b6f76 7c6a5a 4a4f66 9a8f80 55604f 8a3f3f"), _one_of(rng, "3f4248 b0a592 30343c")
     tufts = grain(rng, size, (5, 4)) + 0.7 * grain(rng, size, (2, 2))
     share = np.clip(0.5 + 0.5 * _rough(rng, size, 40, 7), 0, 1) * rng.uniform(0.1, 0.8)
     return (base * (1 - share) + other * share) * np.exp(0.22 * tufts)
 
 
-def _floor(rng: np.random.Generator, size: Size) -> Field:
+def _floor(rng: np.random.Generator, size: Size) -> Picture:
     """Draw tiles or vinyl with the strong light of a window at one side."""
     u, v = _raster(rng, size, 1.6)
     pitch = rng.uniform(180, 520)
@@ -203,13 +204,13 @@ def _floor(rng: np.random.Generator, size: Size) -> Field:
     return picture * (1 - grout) * np.exp(rng.uniform(-1.8, -0.9) * ramp)[..., None]
 
 
-def _plain(rng: np.random.Generator, size: Size) -> Field:
+def _plain(rng: np.random.Generator, size: Size) -> Picture:
     """Draw a painted table or a whiteboard with a few marks."""
     base = _one_of(rng, "dcdad6 c9c8c4 efeeea 9c9c9a 3a3b3d 6f8296 b8c4b0 d8c8a8")
     return _spots(rng, base * np.exp(0.03 * _rough(rng, size, 300, 80)), int(rng.integers(2, 9)), (2, 7), 0.25)
 
 
-GROUNDS: Final[dict[str, Callable[[np.random.Generator, Size], Array | Field]]] = {
+GROUNDS: Final[dict[str, Callable[[np.random.Generator, Size], Picture]]] = {
     "plain": _plain, "wood": _wood, "bench": _bench, "laminate": _laminate, "concrete": _concrete,
     "pegboard": _pegboard, "breadboard": _breadboard, "mat": _mat, "cloth": _cloth, "paper": _paper,
     "carpet": _carpet, "floor": _floor,

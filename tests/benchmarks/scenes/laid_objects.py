@@ -101,7 +101,7 @@ class Pile:
         on = self.owner[box] == _JUST_LAID
         self.owner[box][on] = owner
         place = self._where[box][on]
-        colour, tilt = _strand_surface(strand.look, place[:, 0] / FINER, place[:, 1], width)
+        colour, tilt = _strand_surface(strand.look, place[:, 0] / np.float32(FINER), place[:, 1], width)
         if owner >= SLEEVE and owner != THING:
             colour, tilt = np.broadcast_to(strand.look.second, colour.shape), np.zeros_like(tilt)
         cos, sin = np.cos(place[:, 2]), np.sin(place[:, 2])
@@ -181,7 +181,7 @@ def _swept(
                     where[v, u, 0], where[v, u, 1], where[v, u, 2] = _STEP * i, across, heading
 
 
-def _strand_surface(look: Look, along: Field, across: Field, width: float) -> tuple[Field, Field]:
+def _strand_surface(look: Look, along: Array | Field, across: Field, width: float) -> tuple[Field, Field]:
     """Return the reflectance ``(K, 3)`` and the tilt along a strand ``(K,)`` at places on it.
 
     Args:

@@ -198,11 +198,11 @@ def _setting(rng: np.random.Generator, kind: Kind, name: str) -> Setting:
     """Draw a setting with at least one object of a kind."""
     field = ground(rng, name, (SIZE[0] * FINER, SIZE[1] * FINER))
     objects = _MAKERS[kind](rng)
-    kinds: list[Kind] = [kind] * len(objects)
+    kinds: tuple[Kind, ...] = (kind,) * len(objects)
     if rng.random() < 0.25:
         more: Kind = "wire" if kind != "wire" else "rope"
         some = _MAKERS[more](rng)[:2]
-        objects, kinds = [*objects, *some], [*kinds, *([more] * len(some))]
+        objects, kinds = [*objects, *some], kinds + (more,) * len(some)
     below = clutter(rng, int(rng.integers(5, 16)) if rng.random() < 0.3 else int(rng.integers(0, 3)))
     above: list[Object] = []
     if rng.random() < 0.3:  # something grips an object, or comes near it
@@ -212,7 +212,7 @@ def _setting(rng: np.random.Generator, kind: Kind, name: str) -> Setting:
         away = float(np.arctan2(*(np.array(SIZE[::-1]) / 2 - at)[::-1])) + rng.normal(0, 0.4)
         above += hand(rng, at, away) if rng.random() < 0.6 else gripper(rng, at, away)
     light = Light.drawn(rng)
-    return Setting(field, tuple(objects), tuple(kinds), tuple(below), tuple(above), light, Camera.drawn(rng, field))
+    return Setting(field, tuple(objects), kinds, tuple(below), tuple(above), light, Camera.drawn(rng, field))
 
 
 def _colour(rng: np.random.Generator, colours: str) -> Field:
@@ -302,10 +302,11 @@ def _rings(rng: np.random.Generator) -> list[Object]:
     makes: tuple[Make, ...] = ("flat", "smooth", "smooth", "braided", "ribbed")
     for look in _looks(rng, int(rng.integers(1, 4)), makes, 0.5):
         radius = rng.uniform(45, 150)
-        out = radius * (1 + sum(rng.uniform(0, 0.16) / k * np.cos(k * around + rng.uniform(0, 6)) for k in (2, 3, 4)))
+        waves = [rng.uniform(0, 0.16) / k * np.cos(k * around + rng.uniform(0, 6)) for k in (2, 3, 4)]
+        out = radius * (1 + np.sum(waves, axis=0))
         centre = rng.uniform((0.25, 0.25), (0.75, 0.75)) * SIZE[::-1]
         curve = centre + out[:, None] * np.stack([np.cos(around), np.sin(around)], axis=1)
-        width = float(max(rng.uniform(0.12, 0.4) * radius, 14))
+        width = float(max(rng.uniform(0.12, 0.4) * radius, 18))
         rings.append(Strand(curve, width, np.full(700, rng.uniform(0, width)), look))
     return rings
 
