@@ -198,11 +198,11 @@ def _setting(rng: np.random.Generator, kind: Kind, name: str) -> Setting:
     """Draw a setting with at least one object of a kind."""
     field = ground(rng, name, (SIZE[0] * FINER, SIZE[1] * FINER))
     objects = _MAKERS[kind](rng)
-    kinds: tuple[Kind, ...] = (kind,) * len(objects)
+    kinds: tuple[Kind, ...] = tuple(kind for _ in objects)
     if rng.random() < 0.25:
         more: Kind = "wire" if kind != "wire" else "rope"
         some = _MAKERS[more](rng)[:2]
-        objects, kinds = [*objects, *some], kinds + (more,) * len(some)
+        objects, kinds = [*objects, *some], kinds + tuple(more for _ in some)
     below = clutter(rng, int(rng.integers(5, 16)) if rng.random() < 0.3 else int(rng.integers(0, 3)))
     above: list[Object] = []
     if rng.random() < 0.3:  # something grips an object, or comes near it
