@@ -202,7 +202,8 @@ def _setting(rng: np.random.Generator, kind: Kind, name: str) -> Setting:
     if rng.random() < 0.25:
         more: Kind = "wire" if kind != "wire" else "rope"
         some = _MAKERS[more](rng)[:2]
-        objects, kinds = [*objects, *some], kinds + tuple(more for _ in some)
+        others: tuple[Kind, ...] = tuple(more for _ in some)
+        objects, kinds = [*objects, *some], kinds + others
     below = clutter(rng, int(rng.integers(5, 16)) if rng.random() < 0.3 else int(rng.integers(0, 3)))
     above: list[Object] = []
     if rng.random() < 0.3:  # something grips an object, or comes near it
