@@ -47,8 +47,8 @@ def test_only_ropes_and_wires_have_an_axis(photo):
 
 
 def test_the_object_of_a_sequence_moves_and_its_light_changes():
-    frames = list(object_sequence(np.random.default_rng(2), "sheet", "plain", frames=5))
-    assert [overlap(frame.mask, frames[0]) > 0.98 for frame in frames[:2]] == [True, False]
+    frames = list(object_sequence(np.random.default_rng(2), "sheet", "plain", frames=30))
+    assert min(overlap(frame.mask, frames[0]) for frame in frames) < 0.98
     bright = [float(frame.rgb[frame.mask].mean()) for frame in frames]
     assert max(bright) > 1.08 * min(bright)
     assert all(is_right(frame.mask, frame) for frame in frames)
