@@ -1,0 +1,193 @@
+"""Samples from scenes: which object is meant, the clicks, what the network sees, and what it should answer."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Final
+
+import cv2
+import numpy as np
+import torch
+from curves import HEIGHT, SHAPE, WIDTH, Array, Random
+from scene import Scene, draw_scene
+from torch import Tensor
+from torch.utils.data import IterableDataset
+
+from shape_obs.image.click_net import Clicks, as_lab, network_input
+
+BATCH = 8
+_POOL: Final = 300  # scenes that the samples of a batch are taken from
+_NEW: Final = 4  # scenes drawn for each batch
+_LEAST: Final = 60  # pixels of an object that must be seen for it to be clicked
+_NEAR: Final = np.ones((5, 5), np.uint8)  # objects that come closer than 2 pixels touch
+
+
+@dataclass
+class Sample:
+    """What the network sees and what it should answer.
+
+    Args:
+        photo: ``(h, w, 3)`` uint8, RGB.
+        target: ``(h, w)`` uint8: 1 the object, 0 not, 2 of no account.
+        on: Clicks on the object.
+        off: Clicks off it.
+        previous: ``(h, w)``, 0...1, the pass or frame before, None in the first pass.
+        kind: "click", "video" or "colour", see ``draw_sample``.
+        thin: Whether the object is a rope or ring, not a sheet.
+    """
+
+    photo: Array
+    target: Array
+    on: Clicks
+    off: Clicks
+    previous: Array | None
+    kind: str
+    thin: bool
+
+    def seen(self) -> Array:
+        """Return the input of the network, ``(11, h, w)``."""
+        return network_input(self.photo, as_lab(self.photo), self.on, self.off, self.previous)
+
+    def corrected(self, rng: Random, probability: Array) -> Sample:
+        """Return the sample of the next pass, with a click on the largest error if there is one."""
+        found, on, off = probability > 0.5, self.on, self.off
+        missed, extra = _largest((self.target == 1) & ~found), _largest((self.target == 0) & found)
+        if missed.sum() > extra.sum():
+            on = _and_click(rng, on, self.photo, missed)
+        elif extra.any():
+            off = _and_click(rng, off, self.photo, extra)
+        return replace(self, on=on, off=off, previous=probability)
+
+
+class Batches(IterableDataset[tuple[list[Sample], Tensor]]):
+    """Draw batches without end: samples, and what the network sees of them ``(BATCH, 11, h, w)`` float16.
+
+    Scene j of a seed is always the same, and batch k is drawn from the scenes ``_NEW`` k to ``_NEW`` k + ``_POOL``: a
+    training that is interrupted and resumed sees the same data as one that is not.
+    """
+
+    def __init__(self, seed: int, first: int = 0) -> None:
+        self.seed, self.first = seed, first
+
+    def __iter__(self) -> Iterator[tuple[list[Sample], Tensor]]:
+        cv2.setNumThreads(1)
+        batch, drawn = self.first, self.first * _NEW
+        pool: deque[Scene] = deque(maxlen=_POOL)
+        while True:
+            for number in range(drawn, batch * _NEW + _POOL):
+                pool.append(draw_scene(np.random.default_rng([self.seed, 0, number])))
+            drawn, rng = batch * _NEW + _POOL, np.random.default_rng([self.seed, 1, batch])
+            samples: list[Sample] = []
+            while len(samples) < BATCH:
+                sample = draw_sample(rng, _varied(rng, pool[rng.integers(len(pool))]))
+                samples += [] if sample is None else [sample]
+            yield samples, torch.from_numpy(np.stack([sample.seen() for sample in samples]).astype(np.float16))
+            batch += 1
+
+
+def _varied(rng: Random, scene: Scene) -> Scene:
+    """Mirror a scene, swap its colour channels and change its light."""
+    x, y = rng.choice([-1, 1], 2)
+    photo, whole, top = (layer[::y, ::x] for layer in (scene.photo, scene.whole, scene.top))
+    photo = photo[..., rng.permutation(3)] if rng.random() < 0.5 else photo
+    photo = _relit(rng, photo, offset=rng.uniform(-15, 15)) if rng.random() < 0.5 else np.ascontiguousarray(photo)
+    return replace(scene, photo=photo, whole=np.ascontiguousarray(whole), top=top)
+
+
+def _relit(rng: Random, photo: Array, offset: float = 0.0) -> Array:
+    """Return a photo in a light that differs by up to a quarter."""
+    gain = (rng.uniform(0.75, 1.25) * (1 + rng.normal(0, 0.02, 3))).astype(np.float32)
+    return np.clip(photo * gain + offset, 0, 255).astype(np.uint8)
+
+
+def draw_sample(rng: Random, scene: Scene, kind: str | None = None) -> Sample | None:
+    """Draw a sample from a scene, or None if nothing in it can be clicked.
+
+    Args:
+        rng: Source of random numbers.
+        scene: The scene.
+        kind: "click": clicks on the object and off it; "video": the mask of the frame before, places along the object,
+            and colours from before a change of light; "colour": such colours alone, and all objects that have them are
+            meant. By default 75, 20 and 5 %.
+    """
+    choices = [index for index in range(len(scene.kinds)) if (scene.top == index + 1).sum() > _LEAST]
+    if not choices:
+        return None
+    kind, index = kind or str(rng.choice(["click", "video", "colour"], p=[0.75, 0.2, 0.05])), int(rng.choice(choices))
+    mask, lab = scene.mask(index), as_lab(scene.photo)
+    seen = mask * (scene.top == index + 1).astype(np.uint8)
+    off = _places_off(rng, scene, mask) if kind == "click" or (kind == "video" and rng.random() < 0.3) else []
+    target = mask.copy()
+    for other in scene.alike(index):
+        part = scene.mask(other)
+        ropes = (
+            scene.kinds[index] == scene.kinds[other] == "rope"
+        )  # told apart afterwards, by following the clicked one
+        if kind == "colour":
+            target[part > 0] = 1
+        elif not any(part[y, x] for x, y in off) and (ropes or cv2.dilate(part, _NEAR)[mask > 0].any()):
+            target[(part > 0) & (mask == 0)] = 2
+    crossing = seen * (np.bitwise_count(scene.whole) > 1)
+    pixels = [_inside(rng, crossing if rng.random() < 0.2 and crossing.any() else seen)]
+    pixels += [_inside(rng, seen) for _ in range(rng.integers(1, 3))] if rng.random() < 0.3 else []
+    if kind == "click":
+        slip = rng.integers(-2, 3, 2) if rng.random() < 0.25 else (0, 0)  # not quite hit
+        on, previous = Clicks.at(lab, [(pixels[0][0] + slip[0], pixels[0][1] + slip[1]), *pixels[1:]]), None
+    else:
+        places = _predicted(rng, seen) if kind == "video" else np.zeros((0, 2), np.float32)
+        on = Clicks(places, Clicks.at(as_lab(_relit(rng, scene.photo)), pixels).colours)
+        previous = _moved(rng, mask) if kind == "video" else None
+    return Sample(scene.photo, target, on, Clicks.at(lab, off), previous, kind, scene.kinds[index] != "sheet")
+
+
+def _places_off(rng: Random, scene: Scene, mask: Array) -> list[tuple[int, int]]:
+    """Draw no, one or two pixels off an object, on other objects or anywhere."""
+    free = 1 - cv2.dilate(mask, _NEAR)
+    others, count = free * (scene.whole > 0).astype(np.uint8), rng.choice(3, p=[0.7, 0.18, 0.12])
+    areas = [others if rng.random() < 0.6 and others.any() else free for _ in range(count)]
+    return [_inside(rng, area) for area in areas if area.any()]
+
+
+def _predicted(rng: Random, seen: Array) -> Array:
+    """Draw places along an object as predicted for a frame, up to 6 pixels off; at times there are none."""
+    places = np.array([_inside(rng, seen) for _ in range(rng.integers(4, 21))], np.float32)
+    places += np.clip(rng.normal(0, rng.uniform(0, 2), 2), -3, 3) + rng.uniform(-1, 1, places.shape) * rng.uniform(0, 3)
+    return places[: None if rng.random() < 0.85 else 0]
+
+
+def _moved(rng: Random, mask: Array) -> Array:
+    """Return a mask as of the frame before: moved and bent a little, thinner or thicker, with pieces missing."""
+    matrix = cv2.getRotationMatrix2D((WIDTH / 2, HEIGHT / 2), rng.normal(0, 2), 1 + rng.normal(0, 0.015))
+    matrix[:, 2] += rng.normal(0, rng.uniform(0, 6), 2)
+    grid = np.stack([*np.mgrid[0:HEIGHT, 0:WIDTH][::-1], np.ones(SHAPE)], -1)  # (h, w, 3): x, y, 1
+    bend = cv2.resize(rng.standard_normal((4, 5, 2)), (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)
+    source = (grid @ matrix.T + bend * rng.uniform(0, 4)).astype(np.float32)
+    moved, change = cv2.remap(mask, source[..., 0], source[..., 1], cv2.INTER_NEAREST), rng.random()
+    if change < 0.4:
+        moved = cv2.dilate(moved, np.ones((3, 3))) if change < 0.25 else cv2.erode(moved, np.ones((2, 2)))
+    for _ in range(rng.integers(0, 4) if rng.random() < 0.5 else 0):
+        cv2.circle(moved, rng.integers((WIDTH, HEIGHT)).tolist(), int(rng.integers(5, 40)), 0, -1)
+    return cv2.GaussianBlur(moved.astype(np.float32), (0, 0), rng.uniform(0.1, 1.2))
+
+
+def _and_click(rng: Random, clicks: Clicks, photo: Array, area: Array) -> Clicks:
+    more = Clicks.at(as_lab(photo), [_inside(rng, area)])
+    return Clicks(np.concatenate([clicks.places, more.places]), np.concatenate([clicks.colours, more.colours]))
+
+
+def _inside(rng: Random, mask: Array) -> tuple[int, int]:
+    """Draw a pixel (x, y) of a mask, mostly near its middle line."""
+    y, x = np.nonzero(mask)
+    some = rng.integers(len(y), size=6)
+    depth = cv2.distanceTransform(mask, cv2.DIST_L2, 3)[y[some], x[some]]
+    chosen = some[depth.argmax() if rng.random() < 0.85 else 0]
+    return int(x[chosen]), int(y[chosen])
+
+
+def _largest(error: Array) -> Array:
+    """Return the largest connected part of an error, without its outermost pixels; all zero if there is none."""
+    count, label, stats, _ = cv2.connectedComponentsWithStats(cv2.erode(error.astype(np.uint8), np.ones((3, 3))))
+    largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax()) if count > 1 else -1
+    return (label == largest).astype(np.uint8)

@@ -1,0 +1,303 @@
+"""Draw scenes: ropes, rings and sheets over and under each other on a ground, their shadows, and what hides them.
+
+All is drawn at twice the size of the photo and scaled down, as a camera averages over a pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from typing import Final
+
+import cv2
+import numpy as np
+from camera import photograph
+from curves import HEIGHT, SHAPE, SIZE, WIDTH, Array, Random, direction, noise, outline, resample, ring, rope, wrinkles
+from grounds import ground
+from materials import Strand, brown, cloth, colour, strand
+
+from shape_obs.image.click_net import as_lab
+
+_FINE: Final = 2  # drawn pixels per pixel of the photo, along x and along y
+_DRAWN: Final = (WIDTH * _FINE, HEIGHT * _FINE)
+_SPACING: Final = 0.6  # drawn pixels between painted points: no holes on the outer side of tight bends
+_ALIKE: Final = (
+    14.0  # distance of mean colours in Lab, squares of lightness at half weight, of objects hard to tell apart
+)
+
+
+@dataclass
+class Scene:
+    """A photo and what it shows.
+
+    Args:
+        photo: ``(HEIGHT, WIDTH, 3)`` uint8, RGB.
+        whole: ``(HEIGHT, WIDTH)`` uint8, bit i: object i, with what ropes and rings hide of it, without the rest.
+        top: ``(HEIGHT, WIDTH)`` uint8, i + 1 where object i is seen.
+        kinds: "rope", "ring" or "sheet".
+        lab: ``(n, 3)`` mean colour of what is seen of each object, CIE Lab; NaN if nothing is.
+    """
+
+    photo: Array
+    whole: Array
+    top: Array
+    kinds: list[str]
+    lab: Array
+
+    def mask(self, index: int) -> Array:
+        """Return object ``index`` as a whole, 0 or 1."""
+        return self.whole >> index & 1
+
+    def alike(self, index: int) -> list[int]:
+        """Return the other objects of nearly the same colour."""
+        apart = np.sqrt((np.square(self.lab - self.lab[index]) * [0.5, 1, 1]).sum(1))
+        return [int(other) for other in np.flatnonzero(apart < _ALIKE) if other != index]
+
+
+class _Canvas:
+    """What has been drawn, ``_FINE`` times the size of the photo, and what is still to be drawn."""
+
+    def __init__(self, under: Array, light: Array) -> None:
+        self.light = light  # (2,) direction of the light in the image, its length 0...1
+        self.image = under.repeat(_FINE, 0).repeat(_FINE, 1)
+        self.whole, self.top = np.zeros((2, *_DRAWN[::-1]), np.uint8)
+        self.arc = np.zeros(_DRAWN[::-1], np.float32)  # place along the rope that is seen
+        self.jobs: list[tuple[float, Callable[[], None]]] = []  # height, and what to draw there
+
+    def shade(self, mask: Array, corner: Array, blur: float, darkness: float, spare: Array | bool = False) -> None:
+        """Darken where a mask, 0...255, with its corner at (x, y), is blurred to; not where ``spare`` is True."""
+        dark = cv2.GaussianBlur(mask, (0, 0), blur) * np.float32(darkness / 255)
+        dark[np.broadcast_to(spare, dark.shape)] = 0
+        self.image[corner[1] :, corner[0] :][: mask.shape[0], : mask.shape[1]] *= (1 - dark)[..., None]
+
+    def cover(self, mask: Array, corner: Array, paint: Array, bit: int = 0, label: int = 0) -> None:
+        """Paint an opaque area. What it hides is no part of other objects."""
+        for layer, value in ((self.image, paint[mask > 0]), (self.whole, bit), (self.top, label)):
+            layer[corner[1] :, corner[0] :][: mask.shape[0], : mask.shape[1]][mask > 0] = value
+
+
+@dataclass
+class _Thin:
+    """A rope, a band, a ring of it, or what is fixed to its end (then ``index`` is None: no object)."""
+
+    index: int | None
+    curve: Array  # (N, 2) drawn pixels, one apart
+    width: Array  # (N,) drawn pixels
+    strand: Strand
+    blunt: bool  # no round ends
+
+    def draw(self, canvas: _Canvas, start: int, stop: int) -> None:
+        """Paint the points ``start`` to ``stop`` of the curve."""
+        last, mean = len(self.curve) - 1, float(self.width.mean())
+        before, after = (mean / 2 * (at_end and not self.blunt) for at_end in (start == 0, stop == last))
+        at = np.arange(start - before, stop + after + _SPACING, _SPACING)  # (S,)
+        tangent = np.gradient(cv2.GaussianBlur(self.curve, (1, 9), 1e-3, sigmaY=2.0), axis=0)
+        tangent /= np.maximum(np.hypot(*tangent.T), 1e-6)[:, None]
+        columns = np.stack([*self.curve.T, *tangent.T, self.width])
+        x, y, along_x, along_y, width = (np.interp(at, np.arange(last + 1), values) for values in columns)
+        beyond, across = (
+            at - np.clip(at, 0, last),
+            np.linspace(-1, 1, max(4, int(width.max() / _SPACING))),
+        )  # (S,), (V,)
+        side = across * (width / 2)[:, None]  # (S, V)
+        column = ((x + along_x * beyond)[:, None] - along_y[:, None] * side + 0.5).astype(np.int32)
+        row = ((y + along_y * beyond)[:, None] + along_x[:, None] * side + 0.5).astype(np.int32)
+        shown = (column >= 0) & (row >= 0) & (column < _DRAWN[0]) & (row < _DRAWN[1])
+        s, v = np.nonzero(shown & ((2 * beyond / width)[:, None] ** 2 + across**2 <= 1))
+        place, arc, light = (
+            (row[s, v], column[s, v]),
+            at[s].astype(np.float32),
+            canvas.light @ np.stack([-along_y, along_x]),
+        )
+        canvas.image[place] = self.strand(arc / mean, across[v].astype(np.float32), light[s].astype(np.float32))
+        canvas.arc[place] = arc
+        canvas.whole[place] = 0 if self.index is None else canvas.whole[place] | np.uint8(1 << self.index)
+        canvas.top[place] = 0 if self.index is None else self.index + 1
+
+    def draw_with_shadow(
+        self, canvas: _Canvas, start: int, stop: int, offset: Array, blur: float, darkness: float
+    ) -> None:
+        """Paint a piece and, before it, its shadow on what lies below, not on the adjacent pieces."""
+        points, width = self.curve[start : stop + 1 : 3] + offset, float(self.width.mean())
+        low = np.clip(points.min(0) - width - 3 * blur, 0, _DRAWN).astype(int)
+        high = np.clip(points.max(0) + width + 3 * blur, 0, _DRAWN).astype(int)
+        if (high - low > 3).all():
+            mask, place = np.zeros((high - low)[::-1], np.uint8), np.s_[low[1] : high[1], low[0] : high[0]]
+            _stroke(mask, points - low, width)
+            near = np.abs(canvas.arc[place] - (start + stop) / 2) < (stop - start) / 2 + 2 * width
+            canvas.shade(mask, low, blur, darkness, near & (canvas.top[place] == (self.index or 0) + 1))
+        self.draw(canvas, start, stop)
+
+
+def _stroke(mask: Array, points: Array, width: float) -> None:
+    cv2.polylines(mask, [np.round(points * 16).astype(np.int32)], False, 255, max(1, round(width)), cv2.LINE_8, 4)
+
+
+def draw_scene(rng: Random) -> Scene:
+    """Draw a scene of one to six objects."""
+    flat = rng.random() < 0.4  # mostly sheets and rings, else mostly ropes
+    count = 1 + int(rng.choice(6, p=(0.3, 0.34, 0.2, 0.1, 0.04, 0.02) if flat else (0.12, 0.27, 0.27, 0.17, 0.1, 0.07)))
+    kinds = [
+        str(kind)
+        for kind in rng.choice(["rope", "ring", "sheet"], count, p=(0.1, 0.2, 0.7) if flat else (0.92, 0.04, 0.04))
+    ]
+    width = np.exp(rng.uniform(np.log(2.2), np.log(18))) if rng.random() < 0.93 else rng.uniform(18, 30)  # pixels
+    widths = np.clip(
+        width * (rng.uniform(0.8, 1.2, count) if rng.random() < 0.7 else rng.uniform(0.5, 2, count)), 2.2, 30
+    )
+    shapes = [
+        outline(rng) if kind == "sheet" else ring(rng) if kind == "ring" else rope(rng, w)
+        for kind, w in zip(kinds, widths, strict=True)
+    ]
+    under, shadow = ground(rng), np.zeros(SHAPE, np.uint8)
+    bases: list[Array] = []
+    offset = rng.normal(0, 1, 2) * rng.uniform(0.1, 1.5) * max(3.0, width / 2)
+    for kind, shape, own in zip(kinds, shapes, widths, strict=True):
+        bases.append(_base(rng, bases, under))
+        if kind == "sheet":
+            cv2.fillPoly(shadow, [(shape + offset / 2).astype(np.int32)], 255)
+        else:
+            _stroke(shadow, shape[::3] + offset, own)
+    shadow = cv2.GaussianBlur(shadow, (0, 0), rng.uniform(0.6, 4) * max(1, width / 6)) * np.float32(
+        max(0, rng.uniform(-0.2, 0.65)) / 255
+    )
+    canvas = _Canvas(under * (1 - shadow)[..., None], rng.uniform(0, 1) * np.array(direction(rng)))
+    for index, (kind, shape, own) in enumerate(zip(kinds, shapes, widths, strict=True)):
+        if kind == "sheet":
+            _add_sheet(rng, canvas, shape, bases[index], index)
+        else:
+            _add_thin(rng, canvas, shape, own, bases[index], index, kind == "ring")
+    for _ in range(rng.integers(1, 3) if rng.random() < 0.3 else 0):
+        _add_obstacle(rng, canvas, shapes[rng.integers(count)], width)
+    for _, draw in sorted(canvas.jobs, key=lambda job: job[0]):
+        draw()
+    return _finished(rng, canvas, kinds)
+
+
+def _base(rng: Random, bases: list[Array], under: Array) -> Array:
+    """Draw the colour of the next object: as of one before, as of the ground, or any."""
+    kind, like = rng.random(), colour(rng)
+    if bases and kind < 0.42:
+        like = bases[rng.integers(len(bases))] + rng.normal(0, rng.choice([0, 6, 15]), 3)
+    elif kind < 0.54:
+        like = under[rng.integers(HEIGHT), rng.integers(WIDTH)] * rng.uniform(0.5, 1.5) + rng.normal(0, 20, 3)
+    return np.clip(like, 0, 255).astype(np.float32)
+
+
+def _finished(rng: Random, canvas: _Canvas, kinds: list[str]) -> Scene:
+    """Scale the canvas down and take the photo."""
+    if rng.random() < 0.15:  # the shadow of what stands outside the photo
+        corners = (rng.random(2) * _DRAWN + rng.normal(0, 160, (5, 2))).astype(np.int32)
+        mask = cv2.fillConvexPoly(np.zeros(_DRAWN[::-1], np.uint8), cv2.convexHull(corners), 255)
+        canvas.shade(mask, np.zeros(2, int), rng.uniform(2, 20), rng.uniform(0.1, 0.55))
+    photo = photograph(rng, cv2.resize(canvas.image, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA))
+    whole, top, lab, colours = np.zeros(SHAPE, np.uint8), canvas.top[::_FINE, ::_FINE], [], as_lab(photo)
+    for index in range(len(kinds)):
+        share = cv2.resize((canvas.whole >> index & 1) * np.uint8(255), (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+        whole |= (share > 127).astype(np.uint8) << index
+        top = np.where((top == index + 1) & (share <= 127), np.uint8(0), top)
+        seen = top == index + 1
+        lab.append(colours[seen].mean(0) if seen.any() else np.full(3, np.nan))
+    return Scene(photo, whole, top, kinds, np.array(lab))
+
+
+def _add_thin(rng: Random, canvas: _Canvas, curve: Array, width: float, base: Array, index: int, closed: bool) -> None:
+    """Plan the drawing of a rope or ring in pieces of different heights, and of what is fixed to its ends."""
+    points, flat = resample(curve * _FINE), rng.random() < (0.4 if closed else 0.1)
+    width = _FINE * (min(30.0, width * rng.uniform(1, 2.5)) if flat and not closed else width)
+    swing = rng.uniform(0.75, 1.25, 4) if rng.random() < 0.35 else np.ones(4)
+    swing[-1] = swing[0] if closed else swing[-1]
+    widths = width * np.interp(np.linspace(0, 3, len(points)), range(4), swing)
+    thin = _Thin(index, points, widths, strand(rng, base, flat), blunt=closed)
+    cuts = np.unique([0, *rng.integers(0, len(points), max(0, rng.integers(-1, 6))), len(points) - 1]).tolist()
+    level, mixed = index * 0.4 * (rng.random() < 0.5), 1 if rng.random() < 0.7 else 0.01
+    shadow = rng.normal(0, 0.25, 2) * width, rng.uniform(1, 5), max(0, rng.uniform(-0.5, 0.7))
+    for start, stop in pairwise(cuts):
+        canvas.jobs.append((level + rng.random() * mixed, partial(thin.draw_with_shadow, canvas, start, stop, *shadow)))
+    for end in (points, points[::-1]) if not closed and rng.random() < 0.3 else ():  # plugs, ferrules, bare metal
+        outwards = end[0] - end[min(len(end) - 1, 8)]
+        tip = end[0] + outwards / max(float(np.hypot(*outwards)), 1e-6) * rng.uniform(0.2, 3.5) * width
+        fitting = resample(np.concatenate([[tip], end[: int(rng.uniform(0.3, 2.5) * width) + 3]]))
+        metal, thick = (
+            strand(rng, colour(rng), flat=rng.random() < 0.5),
+            np.full(len(fitting), width * rng.uniform(0.45, 1.7)),
+        )
+        plug = _Thin(None, fitting, thick, metal, blunt=True)
+        canvas.jobs.append((level + 1.1, partial(plug.draw, canvas, 0, len(fitting) - 1)))
+
+
+def _add_sheet(rng: Random, canvas: _Canvas, edge: Array, base: Array, index: int) -> None:
+    """Plan the drawing of a sheet or garment: its cloth, wrinkles, seam, and a part that is folded over."""
+    low = np.clip(edge.min(0) - 8, 0, SIZE - 8).astype(int)
+    wide, high = (np.clip(edge.max(0) + 8, low + 8, SIZE).astype(int) - low).tolist()
+    scale, local = float(np.sqrt(np.prod(np.ptp(edge, 0)))), (edge - low) * _FINE
+    mask = cv2.fillPoly(np.zeros((high * _FINE, wide * _FINE), np.uint8), [np.round(local).astype(np.int32)], 255)
+    if rng.random() < 0.08:  # a hole in the middle
+        hole = local.mean(0) + (local - local.mean(0)) * rng.uniform(0.25, 0.7)
+        cv2.fillPoly(mask, [np.round(hole).astype(np.int32)], 0)
+    paint = cloth(rng, base, (high, wide), scale) * wrinkles(rng, (high, wide), scale)[..., None]
+    paint = cv2.resize(paint.astype(np.float32), mask.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    inwards = cv2.distanceTransform(mask, cv2.DIST_L2, 3)
+    paint *= (1 - rng.uniform(0, 0.4) * np.exp(-inwards / rng.uniform(1, 6)))[..., None]
+    if rng.random() < 0.4:  # a seam along the edge
+        paint[np.abs(inwards - rng.uniform(3, 14)) < 0.8] *= rng.uniform(0.6, 1.2)
+    if rng.random() < 0.4:
+        paint, mask = _folded(rng, paint, mask, local)
+    fallen, level = np.roll(mask, rng.normal(0, 3, 2).astype(int), (1, 0)), index * 0.6 + rng.random()
+    shadow = rng.uniform(1, 5), max(0, rng.uniform(-0.3, 0.6))
+    canvas.jobs.append((level, partial(canvas.shade, fallen, low * _FINE, *shadow)))
+    canvas.jobs.append((level, partial(canvas.cover, mask, low * _FINE, np.clip(paint, 0, 255), 1 << index, index + 1)))
+
+
+def _folded(rng: Random, paint: Array, mask: Array, edge: Array) -> tuple[Array, Array]:
+    """Fold the part of a sheet beyond a line over the rest; returns its picture and mask."""
+    normal = np.array(direction(rng))
+    at = np.quantile(edge @ normal, rng.uniform(0.6, 0.95))
+    y, x = np.mgrid[0 : mask.shape[0], 0 : mask.shape[1]].astype(np.float32)
+    beyond = x * float(normal[0]) + y * float(normal[1]) - float(at)
+    mirror = np.concatenate([np.eye(2) - 2 * np.outer(normal, normal), 2 * at * normal[:, None]], 1)
+    flap = cv2.warpAffine(mask * (beyond > 0).astype(np.uint8), mirror, mask.shape[::-1], flags=cv2.INTER_NEAREST)
+    back, side = (
+        cv2.warpAffine(paint, mirror, mask.shape[::-1]),
+        max(0, rng.uniform(-0.6, 0.6)),
+    )  # dyed on one side only
+    bend = 1 - rng.uniform(0, 0.35) * np.exp(np.minimum(beyond, 0) / rng.uniform(3, 15))
+    back = (back + (colour(rng) - back) * side) * (rng.uniform(0.75, 1.2) * bend)[..., None]
+    shadow = cv2.GaussianBlur(flap, (0, 0), rng.uniform(1, 6)) * np.float32(rng.uniform(0.1, 0.6) / 255)
+    picture = np.where((flap > 0)[..., None], back, paint * (1 - shadow)[..., None])
+    return picture, np.maximum(mask * (beyond <= 0).astype(np.uint8), flap)
+
+
+def _add_obstacle(rng: Random, canvas: _Canvas, near: Array, width: float) -> None:
+    """Plan the drawing of a hand, a gripper or a clip at a point of an object, of thick strokes."""
+    at, (cosine, sine), kind = near[rng.integers(len(near))] + rng.normal(0, 6, 2), direction(rng), rng.random()
+    ahead, aside, size = np.array([cosine, sine]), np.array([-sine, cosine]), rng.uniform(14, 30)
+    paint = brown(rng) if rng.random() < 0.4 else colour(rng)
+    if kind < 0.4:  # a hand: arm, palm, thumb, fingers
+        wrist = at - 2.5 * size * ahead
+        strokes = [(wrist - 400 * ahead, wrist, 1.6 * size), (wrist, wrist + 0.3 * size * ahead, 2 * size)]
+        strokes += [(wrist + size * (ahead + aside), at, size / 2)]
+        for spread in np.linspace(-0.75, 0.75, 4) + rng.normal(0, 0.1, 4):
+            knuckle, long = wrist + size * (0.9 * ahead + spread * aside), rng.uniform(0.7, 2)
+            strokes.append(
+                (knuckle, knuckle + size * (long * ahead + 0.3 * spread * aside), size * rng.uniform(0.36, 0.5))
+            )
+    elif kind < 0.65:  # a gripper: its body and two fingers
+        gap, thick, body = rng.uniform(0.4, 1.5) * width + 3, rng.uniform(5, 16), at - rng.uniform(35, 60) * ahead
+        strokes = [(body - 400 * ahead, body, gap + thick * rng.uniform(2, 4))]
+        for away in (aside * (gap + thick) / 2, -aside * (gap + thick) / 2):
+            strokes.append((body + away, at + away + rng.uniform(2, 10) * ahead, thick))
+    else:  # a clip, a tool
+        strokes = [(at, at + ahead * rng.exponential(15), rng.uniform(0.8, 2.5) * width + 4)]
+    over, below, rounding = np.zeros(SHAPE, np.uint8), np.zeros(SHAPE, np.uint8), rng.uniform(2, 12)
+    for start, end, thick in strokes:
+        _stroke(below if rng.random() < 0.2 else over, np.array([start, end]), thick)
+    for level, part in ((-1, below), (rng.uniform(1, 5), over)):
+        shade = 0.6 + 0.4 * np.clip(cv2.distanceTransform(part, cv2.DIST_L2, 3) / rounding, 0, 1)
+        shade += 0.06 * noise(rng, SHAPE, 25, octaves=2)
+        picture = cv2.resize(np.clip(paint * shade[..., None], 0, 255).astype(np.float32), _DRAWN)
+        mask = np.where(cv2.resize(part, _DRAWN) > 127, np.uint8(255), np.uint8(0))
+        canvas.jobs.append((level, partial(canvas.shade, mask, np.zeros(2, int), 4, 0.3)))
+        canvas.jobs.append((level, partial(canvas.cover, mask, np.zeros(2, int), picture)))
