@@ -2,8 +2,9 @@
 
     python train.py --minutes 120 --out FOLDER
 
-trains for two hours more, and resumes an earlier training, also one that was killed: ``FOLDER/checkpoint.pt`` is
-written every two minutes, ``FOLDER/click_net.onnx`` with each validation. Two cores are used, one to draw scenes.
+trains for two hours more, of processor time, and resumes an earlier training, also one that was killed:
+``FOLDER/checkpoint.pt`` is written every two minutes, ``FOLDER/click_net.onnx`` with each validation. Two cores are
+used, one of them to draw scenes.
 Needs ``pip install torch scikit-image onnx``.
 """
 
@@ -44,7 +45,7 @@ class Progress:
 
     Args:
         seed: Seed of scenes and samples.
-        minutes: Time.
+        minutes: Processor time of this process, which a busy machine does not change.
         step: Steps.
         curve: Minutes, steps, and the per cent that were right after one click: all, ropes and rings, sheets.
     """
@@ -145,7 +146,7 @@ def train(minutes: float, out: Path, total: float, seed: int) -> None:
     held_out, losses = held_out_samples(), []
     batches = iter(DataLoader(Batches(progress.seed, progress.step), batch_size=None, num_workers=1, prefetch_factor=8))
     samples, seen = next(batches)
-    begun, started = progress.minutes, time.monotonic()
+    begun, started = progress.minutes, time.process_time()
     saved, validated, ended = begun, begun, begun + minutes
     while progress.minutes < ended:
         rng = np.random.default_rng([progress.seed, 3, progress.step])
@@ -163,7 +164,7 @@ def train(minutes: float, out: Path, total: float, seed: int) -> None:
         optimiser.step()
         average.update_parameters(network)
         losses.append(loss.item())
-        progress.step, progress.minutes = progress.step + 1, begun + (time.monotonic() - started) / 60
+        progress.step, progress.minutes = progress.step + 1, begun + (time.process_time() - started) / 60
         if len(losses) % 100 == 0:
             pace = 60e3 * (progress.minutes - begun) / len(losses)
             report = (
@@ -186,7 +187,7 @@ def train(minutes: float, out: Path, total: float, seed: int) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--minutes", type=float, required=True, help="time of this run")
+    parser.add_argument("--minutes", type=float, required=True, help="processor time of this run")
     parser.add_argument("--out", type=Path, default=Path("click_net"), help="folder of the checkpoint and the network")
     parser.add_argument("--total-minutes", type=float, default=240, help="time planned for all runs")
     parser.add_argument("--seed", type=int, default=0, help="seed of a new training")
