@@ -83,11 +83,11 @@ def _flat(rng: Random) -> Array:
 
 
 def _wood(rng: Random) -> Array:
-    """Draw boards: grain along x, years as waves, gaps at times."""
+    """Draw boards: fibres along x, years as waves, gaps at times."""
     base = brown(rng) if rng.random() < 0.8 else from_hsv(rng, (0, 0.6), (0.2, 0.95))
-    grain = noise(rng, SHAPE, rng.uniform(2, 9), rng.uniform(8, 30), 2)
-    grain += np.sin(noise(rng, SHAPE, 70, 3) * rng.uniform(4, 18)) * rng.uniform(0, 0.8)
-    picture = base * (1 + rng.uniform(0.02, 0.15) * grain)[..., None]
+    fibres = noise(rng, SHAPE, rng.uniform(2, 9), rng.uniform(8, 30), 2)
+    fibres += np.sin(noise(rng, SHAPE, 70, 3) * rng.uniform(4, 18)) * rng.uniform(0, 0.8)
+    picture = base * (1 + rng.uniform(0.02, 0.15) * fibres)[..., None]
     for y in np.arange(rng.uniform(0, 80), HEIGHT, rng.uniform(25, 90)) if rng.random() < 0.5 else ():
         cv2.line(picture, (0, int(y)), (WIDTH, int(y)), (base * 0.3).tolist(), int(rng.integers(1, 4)))
     return _turned(rng, picture)

@@ -43,7 +43,7 @@ def strand(rng: Random, base: Array, flat: bool = False) -> Strand:
     slope, depth = rng.uniform(0.3, 1.3) * float(rng.choice([-1, 1])), rng.uniform(0.1, 0.6)
     ambient, edge, worn = rng.uniform(0.35, 0.9), 0 if flat else rng.uniform(0, 0.5), rng.uniform(0, 0.08)
     gloss, spread = rng.uniform(0.1, 0.9) if rng.random() < 0.45 else 0, rng.uniform(0.08, 0.35)
-    beside, wide = rng.uniform(-0.5, 0.5), rng.uniform(0.1, 0.35)
+    middle, wide = rng.uniform(-0.5, 0.5), rng.uniform(0.1, 0.35)
 
     def paint(arc: Array, across: Array, light: Array) -> Array:
         groove, other = np.zeros_like(arc), np.zeros(len(arc), bool)
@@ -59,7 +59,7 @@ def strand(rng: Random, base: Array, flat: bool = False) -> Strand:
         elif kind == "pair":  # two wires side by side
             groove = np.exp(-((across / 0.2) ** 2))
         else:
-            marks = {"spiral": one / 4 % 1 < 0.4, "line": np.abs(across - beside) < wide, "halves": arc > change}
+            marks = {"spiral": one / 4 % 1 < 0.4, "line": np.abs(across - middle) < wide, "halves": arc > change}
             other = marks.get(kind, other)
         facing = across - 0.6 * light
         rounding = 1 if flat else np.sqrt(np.clip(1 - 0.6 * facing**2, 0, 1))

@@ -122,9 +122,7 @@ def draw_sample(rng: Random, scene: Scene, kind: str | None = None) -> Sample | 
     target = mask.copy()
     for other in scene.alike(index):
         part = scene.mask(other)
-        ropes = (
-            scene.kinds[index] == scene.kinds[other] == "rope"
-        )  # told apart afterwards, by following the clicked one
+        ropes = scene.kinds[index] == scene.kinds[other] == "rope"  # separated afterwards, by following the clicked one
         if kind == "colour":
             target[part > 0] = 1
         elif not any(part[y, x] for x, y in off) and (ropes or cv2.dilate(part, _NEAR)[mask > 0].any()):

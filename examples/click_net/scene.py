@@ -23,8 +23,9 @@ from shape_obs.image.click_net import as_lab
 _FINE: Final = 2  # drawn pixels per pixel of the photo, along x and along y
 _DRAWN: Final = (WIDTH * _FINE, HEIGHT * _FINE)
 _SPACING: Final = 0.6  # drawn pixels between painted points: no holes on the outer side of tight bends
+_COUNTS: Final = (0.12, 0.27, 0.27, 0.17, 0.1, 0.07)  # shares of scenes with one, two, ... ropes
 _ALIKE: Final = (
-    14.0  # distance of mean colours in Lab, squares of lightness at half weight, of objects hard to tell apart
+    14.0  # distance of mean colours in Lab, squares of lightness at half weight, of objects that are easily confused
 )
 
 
@@ -52,8 +53,8 @@ class Scene:
 
     def alike(self, index: int) -> list[int]:
         """Return the other objects of nearly the same colour."""
-        apart = np.sqrt((np.square(self.lab - self.lab[index]) * [0.5, 1, 1]).sum(1))
-        return [int(other) for other in np.flatnonzero(apart < _ALIKE) if other != index]
+        distance = np.sqrt((np.square(self.lab - self.lab[index]) * [0.5, 1, 1]).sum(1))
+        return [int(other) for other in np.flatnonzero(distance < _ALIKE) if other != index]
 
 
 class _Canvas:
@@ -83,7 +84,7 @@ class _Thin:
     """A rope, a band, a ring of it, or what is fixed to its end (then ``index`` is None: no object)."""
 
     index: int | None
-    curve: Array  # (N, 2) drawn pixels, one apart
+    curve: Array  # (N, 2) drawn pixels, at steps of one
     width: Array  # (N,) drawn pixels
     strand: Strand
     blunt: bool  # no round ends
@@ -116,9 +117,7 @@ class _Thin:
         canvas.whole[place] = 0 if self.index is None else canvas.whole[place] | np.uint8(1 << self.index)
         canvas.top[place] = 0 if self.index is None else self.index + 1
 
-    def draw_with_shadow(
-        self, canvas: _Canvas, start: int, stop: int, offset: Array, blur: float, darkness: float
-    ) -> None:
+    def lay(self, canvas: _Canvas, start: int, stop: int, offset: Array, blur: float, darkness: float) -> None:
         """Paint a piece and, before it, its shadow on what lies below, not on the adjacent pieces."""
         points, width = self.curve[start : stop + 1 : 3] + offset, float(self.width.mean())
         low = np.clip(points.min(0) - width - 3 * blur, 0, _DRAWN).astype(int)
@@ -138,33 +137,26 @@ def _stroke(mask: Array, points: Array, width: float) -> None:
 def draw_scene(rng: Random) -> Scene:
     """Draw a scene of one to six objects."""
     flat = rng.random() < 0.4  # mostly sheets and rings, else mostly ropes
-    count = 1 + int(rng.choice(6, p=(0.3, 0.34, 0.2, 0.1, 0.04, 0.02) if flat else (0.12, 0.27, 0.27, 0.17, 0.1, 0.07)))
-    kinds = [
-        str(kind)
-        for kind in rng.choice(["rope", "ring", "sheet"], count, p=(0.1, 0.2, 0.7) if flat else (0.92, 0.04, 0.04))
-    ]
+    counts, shares = ((0.3, 0.34, 0.2, 0.1, 0.04, 0.02), (0.1, 0.2, 0.7)) if flat else (_COUNTS, (0.92, 0.04, 0.04))
+    count = 1 + int(rng.choice(6, p=counts))
+    kinds: list[str] = rng.choice(["rope", "ring", "sheet"], count, p=shares).tolist()
     width = np.exp(rng.uniform(np.log(2.2), np.log(18))) if rng.random() < 0.93 else rng.uniform(18, 30)  # pixels
-    widths = np.clip(
-        width * (rng.uniform(0.8, 1.2, count) if rng.random() < 0.7 else rng.uniform(0.5, 2, count)), 2.2, 30
-    )
-    shapes = [
-        outline(rng) if kind == "sheet" else ring(rng) if kind == "ring" else rope(rng, w)
-        for kind, w in zip(kinds, widths, strict=True)
-    ]
+    widths = width * (rng.uniform(0.8, 1.2, count) if rng.random() < 0.7 else rng.uniform(0.5, 2, count))
+    objects = list(zip(kinds, np.clip(widths, 2.2, 30).tolist(), strict=True))
+    shapes = [outline(rng) if k == "sheet" else ring(rng) if k == "ring" else rope(rng, own) for k, own in objects]
     under, shadow = ground(rng), np.zeros(SHAPE, np.uint8)
-    bases: list[Array] = []
     offset = rng.normal(0, 1, 2) * rng.uniform(0.1, 1.5) * max(3.0, width / 2)
-    for kind, shape, own in zip(kinds, shapes, widths, strict=True):
+    bases: list[Array] = []
+    for (kind, own), shape in zip(objects, shapes, strict=True):
         bases.append(_base(rng, bases, under))
         if kind == "sheet":
             cv2.fillPoly(shadow, [(shape + offset / 2).astype(np.int32)], 255)
         else:
             _stroke(shadow, shape[::3] + offset, own)
-    shadow = cv2.GaussianBlur(shadow, (0, 0), rng.uniform(0.6, 4) * max(1, width / 6)) * np.float32(
-        max(0, rng.uniform(-0.2, 0.65)) / 255
-    )
-    canvas = _Canvas(under * (1 - shadow)[..., None], rng.uniform(0, 1) * np.array(direction(rng)))
-    for index, (kind, shape, own) in enumerate(zip(kinds, shapes, widths, strict=True)):
+    shadow = cv2.GaussianBlur(shadow, (0, 0), rng.uniform(0.6, 4) * max(1, width / 6))
+    under = under * (1 - shadow * np.float32(max(0, rng.uniform(-0.2, 0.65)) / 255))[..., None]
+    canvas = _Canvas(under, rng.uniform(0, 1) * np.array(direction(rng)))
+    for index, ((kind, own), shape) in enumerate(zip(objects, shapes, strict=True)):
         if kind == "sheet":
             _add_sheet(rng, canvas, shape, bases[index], index)
         else:
@@ -215,16 +207,13 @@ def _add_thin(rng: Random, canvas: _Canvas, curve: Array, width: float, base: Ar
     level, mixed = index * 0.4 * (rng.random() < 0.5), 1 if rng.random() < 0.7 else 0.01
     shadow = rng.normal(0, 0.25, 2) * width, rng.uniform(1, 5), max(0, rng.uniform(-0.5, 0.7))
     for start, stop in pairwise(cuts):
-        canvas.jobs.append((level + rng.random() * mixed, partial(thin.draw_with_shadow, canvas, start, stop, *shadow)))
+        canvas.jobs.append((level + rng.random() * mixed, partial(thin.lay, canvas, start, stop, *shadow)))
     for end in (points, points[::-1]) if not closed and rng.random() < 0.3 else ():  # plugs, ferrules, bare metal
         outwards = end[0] - end[min(len(end) - 1, 8)]
         tip = end[0] + outwards / max(float(np.hypot(*outwards)), 1e-6) * rng.uniform(0.2, 3.5) * width
         fitting = resample(np.concatenate([[tip], end[: int(rng.uniform(0.3, 2.5) * width) + 3]]))
-        metal, thick = (
-            strand(rng, colour(rng), flat=rng.random() < 0.5),
-            np.full(len(fitting), width * rng.uniform(0.45, 1.7)),
-        )
-        plug = _Thin(None, fitting, thick, metal, blunt=True)
+        metal = strand(rng, colour(rng), flat=rng.random() < 0.5)
+        plug = _Thin(None, fitting, np.full(len(fitting), width * rng.uniform(0.45, 1.7)), metal, blunt=True)
         canvas.jobs.append((level + 1.1, partial(plug.draw, canvas, 0, len(fitting) - 1)))
 
 
@@ -259,10 +248,8 @@ def _folded(rng: Random, paint: Array, mask: Array, edge: Array) -> tuple[Array,
     beyond = x * float(normal[0]) + y * float(normal[1]) - float(at)
     mirror = np.concatenate([np.eye(2) - 2 * np.outer(normal, normal), 2 * at * normal[:, None]], 1)
     flap = cv2.warpAffine(mask * (beyond > 0).astype(np.uint8), mirror, mask.shape[::-1], flags=cv2.INTER_NEAREST)
-    back, side = (
-        cv2.warpAffine(paint, mirror, mask.shape[::-1]),
-        max(0, rng.uniform(-0.6, 0.6)),
-    )  # dyed on one side only
+    back = cv2.warpAffine(paint, mirror, mask.shape[::-1])
+    side = max(0, rng.uniform(-0.6, 0.6))  # how much its other side differs in colour
     bend = 1 - rng.uniform(0, 0.35) * np.exp(np.minimum(beyond, 0) / rng.uniform(3, 15))
     back = (back + (colour(rng) - back) * side) * (rng.uniform(0.75, 1.2) * bend)[..., None]
     shadow = cv2.GaussianBlur(flap, (0, 0), rng.uniform(1, 6)) * np.float32(rng.uniform(0.1, 0.6) / 255)
@@ -273,21 +260,20 @@ def _folded(rng: Random, paint: Array, mask: Array, edge: Array) -> tuple[Array,
 def _add_obstacle(rng: Random, canvas: _Canvas, near: Array, width: float) -> None:
     """Plan the drawing of a hand, a gripper or a clip at a point of an object, of thick strokes."""
     at, (cosine, sine), kind = near[rng.integers(len(near))] + rng.normal(0, 6, 2), direction(rng), rng.random()
-    ahead, aside, size = np.array([cosine, sine]), np.array([-sine, cosine]), rng.uniform(14, 30)
+    ahead, across, size = np.array([cosine, sine]), np.array([-sine, cosine]), rng.uniform(14, 30)
     paint = brown(rng) if rng.random() < 0.4 else colour(rng)
     if kind < 0.4:  # a hand: arm, palm, thumb, fingers
         wrist = at - 2.5 * size * ahead
         strokes = [(wrist - 400 * ahead, wrist, 1.6 * size), (wrist, wrist + 0.3 * size * ahead, 2 * size)]
-        strokes += [(wrist + size * (ahead + aside), at, size / 2)]
+        strokes += [(wrist + size * (ahead + across), at, size / 2)]
         for spread in np.linspace(-0.75, 0.75, 4) + rng.normal(0, 0.1, 4):
-            knuckle, long = wrist + size * (0.9 * ahead + spread * aside), rng.uniform(0.7, 2)
-            strokes.append(
-                (knuckle, knuckle + size * (long * ahead + 0.3 * spread * aside), size * rng.uniform(0.36, 0.5))
-            )
+            knuckle = wrist + size * (0.9 * ahead + spread * across)
+            tip = knuckle + size * (rng.uniform(0.7, 2) * ahead + 0.3 * spread * across)
+            strokes.append((knuckle, tip, size * rng.uniform(0.36, 0.5)))
     elif kind < 0.65:  # a gripper: its body and two fingers
         gap, thick, body = rng.uniform(0.4, 1.5) * width + 3, rng.uniform(5, 16), at - rng.uniform(35, 60) * ahead
         strokes = [(body - 400 * ahead, body, gap + thick * rng.uniform(2, 4))]
-        for away in (aside * (gap + thick) / 2, -aside * (gap + thick) / 2):
+        for away in (across * (gap + thick) / 2, -across * (gap + thick) / 2):
             strokes.append((body + away, at + away + rng.uniform(2, 10) * ahead, thick))
     else:  # a clip, a tool
         strokes = [(at, at + ahead * rng.exponential(15), rng.uniform(0.8, 2.5) * width + 4)]

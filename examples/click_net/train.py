@@ -14,6 +14,7 @@ import argparse
 import os
 import time
 from dataclasses import asdict, dataclass, field
+from itertools import count, islice
 from pathlib import Path
 from typing import Final
 
@@ -98,10 +99,9 @@ def second_pass(network: nn.Module, rng: Random, samples: list[Sample], seen: Te
 
 def held_out_samples() -> list[Sample]:
     """Return the samples of the validation: one click on an object."""
-    seed, count = _HELD_OUT
-    rngs = [np.random.default_rng([seed, 2, number]) for number in range(3 * count)]
+    rngs = (np.random.default_rng([_HELD_OUT[0], 2, number]) for number in count())
     drawn = (draw_sample(rng, draw_scene(rng), "click") for rng in rngs)
-    return [s for s in drawn if s is not None and len(s.on.places) == 1 and not len(s.off.places)][:count]
+    return list(islice((s for s in drawn if s and len(s.on.places) == 1 and not len(s.off.places)), _HELD_OUT[1]))
 
 
 def is_right(sample: Sample, probability: Array) -> bool:
