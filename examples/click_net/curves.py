@@ -69,10 +69,10 @@ def rope(rng: Random, width: float) -> Array:
 def _thrown(rng: Random, width: float) -> Array:
     """Integrate a random curvature: bows, loops, straight parts, coils at times."""
     arc = np.arange(0.0, rng.uniform(120, 1100))
-    waves = [
-        rng.uniform(-1, 1) * np.sin(arc / rng.uniform(25, 160) + rng.uniform(0, 7)) for _ in range(rng.integers(1, 5))
-    ]
-    curvature = np.sum(waves, 0) + (rng.uniform(-0.4, 0.4) if rng.random() < 0.8 else rng.choice([-3, 3]))
+    curvature = np.zeros(len(arc))
+    for _ in range(rng.integers(1, 5)):
+        curvature += rng.uniform(-1, 1) * np.sin(arc / rng.uniform(25, 160) + rng.uniform(0, 7))
+    curvature += rng.uniform(-0.4, 0.4) if rng.random() < 0.8 else rng.choice([-3, 3])
     tightest = max(1.6 * width, rng.uniform(14, 90))  # radius in pixels
     heading = rng.uniform(0, 7) + np.cumsum(curvature / np.abs(curvature).max() / tightest)
     curve = np.cumsum(np.stack([np.cos(heading), np.sin(heading)], 1), 0)

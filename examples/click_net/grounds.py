@@ -18,26 +18,14 @@ import skimage
 from curves import HEIGHT, SHAPE, SIZE, WIDTH, Array, Random, direction, noise
 from materials import brown, colour, from_hsv
 
-_PNG: Final = (
-    "astronaut",
-    "clock_motion",
-    "text",
-    "brick",
-    "camera",
-    "chelsea",
-    "coffee",
-    "grass",
-    "gravel",
-    "coins",
-    "ihc",
-)
-_JPG: Final = ("hubble_deep_field", "retina")
+_PNG: Final = ("astronaut", "clock_motion", "text", "brick", "camera", "chelsea", "coffee", "grass", "gravel", "coins")
+_OTHER: Final = ("ihc.png", "hubble_deep_field.jpg", "retina.jpg")
 _Y, _X = np.mgrid[0:HEIGHT, 0:WIDTH].astype(np.float32)
 
 
 @cache
 def _pictures() -> list[Array]:
-    names = [*(f"{name}.png" for name in _PNG), *(f"{name}.jpg" for name in _JPG)]
+    names = [*(f"{name}.png" for name in _PNG), *_OTHER]
     read = [cv2.imread(str(Path(skimage.__file__).parent / "data" / name)) for name in names]
     return [cv2.cvtColor(picture, cv2.COLOR_BGR2RGB).astype(np.float32) for picture in read if picture is not None]
 
@@ -105,10 +93,8 @@ def _tiles(rng: Random) -> Array:
     if kind == "checks":
         picture = np.where(((row + column) % 2 > 0)[..., None], colour(rng), colour(rng))
     else:
-        holes = np.hypot(away_y - high / 2, away_x - wide / 2)
-        picture[(holes if kind == "holes" else np.minimum(away_y, away_x)) < rng.uniform(0.8, 4)] = base * rng.uniform(
-            0.2, 1.3
-        )
+        tone, holes = base * rng.uniform(0.2, 1.3), np.hypot(away_y - high / 2, away_x - wide / 2)
+        picture[(holes if kind == "holes" else np.minimum(away_y, away_x)) < rng.uniform(0.8, 4)] = tone
     shade = 1 + rng.uniform(0.02, 0.1) * noise(rng, SHAPE, rng.uniform(1, 6), octaves=3)
     return _turned(rng, (picture * shade[..., None]).astype(np.float32))
 
@@ -134,16 +120,11 @@ def _stones(rng: Random) -> Array:
 def _clutter(rng: Random) -> Array:
     """Draw many small objects on a plain ground: discs, sticks, scraps, boxes, text."""
     picture = np.clip(_flat(rng) if rng.random() < 0.7 else _weave(rng), 0, 255).astype(np.uint8)
-    palette, size = (
-        [colour(rng).tolist() for _ in range(rng.integers(2, 7))],
-        np.exp(rng.uniform(np.log(2), np.log(30))),
-    )
+    palette = [colour(rng).tolist() for _ in range(rng.integers(2, 7))]
+    size = np.exp(rng.uniform(np.log(2), np.log(30)))
     for _ in range(int(np.clip(rng.uniform(100, 3000) / size, 5, 350))):
-        paint, place, long = (
-            palette[rng.integers(len(palette))],
-            (rng.random(2) * SIZE).astype(int),
-            rng.exponential(size, 2) + 1,
-        )
+        paint, place = palette[rng.integers(len(palette))], (rng.random(2) * SIZE).astype(int)
+        long = rng.exponential(size, 2) + 1
         kind = rng.choice(["disc", "stick", "scrap", "box", "text"], p=[0.3, 0.22, 0.2, 0.18, 0.1])
         if kind == "disc":
             filled = -1 if rng.random() < 0.8 else 1
@@ -153,9 +134,7 @@ def _clutter(rng: Random) -> Array:
             cv2.polylines(picture, [bend.astype(np.int32)], False, paint, int(rng.integers(1, 4)), cv2.LINE_AA)
         elif kind == "text":
             word = "".join(rng.choice(list("abcdeghiklmnoprstuvw0123456789"), rng.integers(1, 9)))
-            cv2.putText(
-                picture, word, place.tolist(), cv2.FONT_HERSHEY_SIMPLEX, min(2, size / 14), paint, 1, cv2.LINE_AA
-            )
+            cv2.putText(picture, word, place.tolist(), cv2.FONT_HERSHEY_SIMPLEX, min(2, size / 14), paint)
         else:
             box = cv2.boxPoints((place.tolist(), (2 * long).tolist(), rng.uniform(0, 90)))
             corners = box if kind == "box" else place + rng.normal(0, 1.3 * size, (3, 2))

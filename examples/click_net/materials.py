@@ -66,9 +66,8 @@ def strand(rng: Random, base: Array, flat: bool = False) -> Strand:
         shade = (ambient + (1 - ambient) * rounding - edge * across**4) * (1 - depth * groove)
         shade *= 1 + worn * np.sin(arc * 0.7 + phase)
         shine = 255 * gloss * np.exp(-((facing / spread) ** 2)) * (1 - groove)
-        return np.clip(
-            np.where((other & two_coloured)[:, None], second, base) * shade[:, None] + shine[:, None], 0, 255
-        )
+        colours = np.where((other & two_coloured)[:, None], second, base)
+        return np.clip(colours * shade[:, None] + shine[:, None], 0, 255)
 
     return paint
 

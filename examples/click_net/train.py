@@ -126,15 +126,17 @@ def validate(network: nn.Module, samples: list[Sample]) -> list[float]:
     return [100 * float(right[group].mean()) for group in (thin | ~thin, thin, ~thin)]
 
 
+def _moving_mean(mean: Tensor, new: Tensor, count: Tensor | int) -> Tensor:
+    return mean + (new - mean) / min(int(count) + 1, _AVERAGED)  # a plain mean in the first steps
+
+
 def train(minutes: float, out: Path, total: float, seed: int) -> None:
     """Train for some minutes more, and write the network."""
     torch.set_num_threads(1)
     torch.manual_seed(seed)
     out.mkdir(parents=True, exist_ok=True)
     file, progress, network = out / "checkpoint.pt", Progress(seed), ClickNet().to(memory_format=torch.channels_last)
-    average = AveragedModel(
-        network, avg_fn=lambda mean, new, count: mean + (new - mean) / min(int(count) + 1, _AVERAGED), use_buffers=True
-    )
+    average = AveragedModel(network, avg_fn=_moving_mean, use_buffers=True)
     optimiser = torch.optim.AdamW(network.parameters(), _RATE, weight_decay=1e-3, betas=(0.9, 0.99))
     states = {"network": network, "average": average, "optimiser": optimiser}
     if file.exists():
@@ -167,10 +169,8 @@ def train(minutes: float, out: Path, total: float, seed: int) -> None:
         progress.step, progress.minutes = progress.step + 1, begun + (time.process_time() - started) / 60
         if len(losses) % 100 == 0:
             pace = 60e3 * (progress.minutes - begun) / len(losses)
-            report = (
-                f"{progress.minutes:.1f} min, step {progress.step}: loss {np.mean(losses[-100:]):.3f}, {pace:.0f} ms"
-            )
-            print(report, flush=True)
+            print(f"{progress.minutes:.1f} min, {progress.step} steps: loss {np.mean(losses[-100:]):.3f}", end=", ")
+            print(f"{pace:.0f} ms of processor time a step", flush=True)
         if progress.minutes - validated > _VALIDATE or progress.minutes >= ended:
             validated = progress.minutes
             progress.curve.append([progress.minutes, progress.step, *validate(average, held_out)])
