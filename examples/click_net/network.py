@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-import onnx
+import onnx  # pyright: ignore[reportMissingImports]  # only this example needs it
 import torch
 from curves import HEIGHT, WIDTH
-from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
 from shape_obs.image.click_net import CHANNELS
@@ -92,11 +91,11 @@ def export(network: nn.Module, path: Path) -> None:
     model = onnx.load(path)
     casts = []  # weights are stored as float16, and cast when the file is read
     for tensor in model.graph.initializer:
-        values = numpy_helper.to_array(tensor)
-        if tensor.data_type == TensorProto.FLOAT and values.size > _SMALL:
+        values = onnx.numpy_helper.to_array(tensor)
+        if tensor.data_type == onnx.TensorProto.FLOAT and values.size > _SMALL:
             name, stored = tensor.name, f"{tensor.name}_half"
-            tensor.CopyFrom(numpy_helper.from_array(values.astype("float16"), stored))
-            casts.append(helper.make_node("Cast", [stored], [name], to=TensorProto.FLOAT))
+            tensor.CopyFrom(onnx.numpy_helper.from_array(values.astype("float16"), stored))
+            casts.append(onnx.helper.make_node("Cast", [stored], [name], to=onnx.TensorProto.FLOAT))
     nodes = [*casts, *model.graph.node]
     del model.graph.node[:]
     model.graph.node.extend(nodes)
