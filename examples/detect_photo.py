@@ -11,8 +11,8 @@ import numpy as np
 from PIL import Image
 
 from shape_obs import Centerline, ShapeDetector
-from shape_obs.drawing import draw_detection
 from shape_obs.clicks import propose_segmentation
+from shape_obs.drawing import draw_detection
 
 
 def drawn_photo() -> np.ndarray:

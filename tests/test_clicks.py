@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from shape_obs import Centerline, ShapeDetector
-from shape_obs.config.config_file import detector_arguments, load_config, save_config
 from shape_obs.clicks import propose_segmentation
+from shape_obs.config.config_file import detector_arguments, load_config, save_config
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.utils.arrays import read_image
 from tests.benchmarks.clicks import first_click

@@ -19,11 +19,11 @@ from skimage.morphology import skeletonize
 
 from shape_obs.bench.photos import BLUE, photographs
 from shape_obs.bench.scenes import moving_rope
+from shape_obs.clicks import Proposal, propose_segmentation
 from shape_obs.configurations.centerline import Centerline
 from shape_obs.configurations.contour import Contour
 from shape_obs.detector import ShapeDetector
 from shape_obs.frame import Frame
-from shape_obs.image.colour_picker import Proposal, propose_segmentation
 from shape_obs.image.find_region import segment
 from shape_obs.image.roi import Whole, Window
 from shape_obs.image.segmentation import Segmentation
