@@ -1,16 +1,19 @@
 """Clicks on drawn photos whose masks are known, on a real photo, and in the frames that follow.
 
-A user clicks in the middle of the object, then where the largest error is, on the object or not on it, until no error
-is large enough to be clicked, or the last click is used up. Where something else lies over the object, a mask counts
-neither way.
+A user clicks in the middle of the object, then where the largest error is, on the object or not on it, until the mask
+is right, no error is large enough to be clicked, or the last click is used up. Where something else lies over the
+object, a mask counts neither way.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
 from itertools import chain, cycle
 from pathlib import Path
+from threading import Lock
 from typing import Any, Final, NamedTuple
+from unittest.mock import patch
 
 import cv2
 import numpy as np
@@ -23,10 +26,8 @@ from shape_obs.clicks import Proposal, propose_segmentation
 from shape_obs.configurations.centerline import Centerline
 from shape_obs.configurations.contour import Contour
 from shape_obs.detector import ShapeDetector
-from shape_obs.frame import Frame
 from shape_obs.image.find_region import segment
-from shape_obs.image.roi import Whole, Window
-from shape_obs.image.segmentation import Segmentation
+from shape_obs.image.region import Region
 from shape_obs.utils.arrays import read_image
 from shape_obs.utils.threads import one_thread
 from tests.benchmarks.claim import Claim, Limit
@@ -39,7 +40,9 @@ Pixel = tuple[float, float]
 Mask = npt.NDArray[np.bool_]
 Image = npt.NDArray[np.uint8]
 Pixels = Sequence[Pixel]
-REAL: Final = Path(__file__).parents[3] / "shared" / "data" / "real" / "blue_rope_640x480.png"
+_SHARED: Final = Path(__file__).parents[3] / "shared"
+REAL: Final = _SHARED / "data" / "real" / "blue_rope_640x480.png"
+REFERENCE: Final = _SHARED / "prototypes" / "clicknet" / "reference.onnx"
 _GOOD: Final = 0.85  # intersection over union from which the mask of a sheet or ring is right
 _GOOD_REAL: Final = 0.9
 _HIDDEN: Final = 0.3  # of the pixels of the first frame: with fewer, nothing is asked of a mask
@@ -144,14 +147,6 @@ def _ours(rgb: Image, picks: Pixels, nots: Pixels) -> Answer:
     return Answer(proposal.mask, proposal.rule.kind == "click_net")
 
 
-def _seen(rgb: Image, rule: Segmentation) -> Mask:
-    """Return what a detector sees of an image through a rule."""
-    region = segment(Frame(rgb), Window(0, 0, rgb.shape[1], rgb.shape[0]), rule, Whole())
-    mask = np.zeros(rgb.shape[:2], np.bool_)
-    mask[region.window.slices] = region.mask > 0
-    return mask
-
-
 def _grab_cut(rgb: Image, picks: Pixels, nots: Pixels) -> Answer:
     """Return what GrabCut finds if a disc around each click is certain: Rother, Kolmogorov and Blake, 2004."""
     labels = np.full(rgb.shape[:2], cv2.GC_PR_BGD, np.uint8)
@@ -164,8 +159,20 @@ def _grab_cut(rgb: Image, picks: Pixels, nots: Pixels) -> Answer:
     return Answer((labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD))
 
 
+@lru_cache(maxsize=1)
+def _reference_network() -> tuple[cv2.dnn.Net, Lock]:
+    return cv2.dnn.readNetFromONNX(np.fromfile(REFERENCE, np.uint8)), Lock()
+
+
+def _reference(rgb: Image, picks: Pixels, nots: Pixels) -> Answer:
+    """Return what another network gives, with all else the same."""
+    with patch("shape_obs.image.click_net.load_network", _reference_network):
+        return _ours(rgb, picks, nots)
+
+
 METHODS: Final[dict[str, Callable[[Image, Pixels, Pixels], Answer]]] = {"ours": _ours, "GrabCut": _grab_cut}
-# PLACE FOR THE REFERENCE: METHODS["reference"], through a function of shape_obs.image.click_net, if its file is there.
+if REFERENCE.exists():
+    METHODS["reference"] = _reference
 
 
 def click(scene: tuple[int, ObjectPhoto]) -> Iterator[Row]:
@@ -181,13 +188,14 @@ def click(scene: tuple[int, ObjectPhoto]) -> Iterator[Row]:
     kinds += ["colour of their own"] if photo.has_own_colour() else []
     for name, method in METHODS.items():
         picks, nots = list[Pixel](), list[Pixel]()
-        found, ms = Answer(photo.mask), 0.0
+        found, ms, right = Answer(photo.mask), 0.0, False
         for count in (1, 2, 3):
-            more = (start, True) if count == 1 else next_click(found.mask, photo)
+            more = (start, True) if count == 1 else None if right else next_click(found.mask, photo)
             if more is not None:
                 (picks if more[1] else nots).append(more[0])
                 found, ms = timed(lambda: method(photo.rgb, picks, nots))  # noqa: B023  called at once
-            row = Row(method=name, clicks=count, right=is_right(found.mask, photo), iou=overlap(found.mask, photo))
+                right = is_right(found.mask, photo)
+            row = Row(method=name, clicks=count, right=right, iou=overlap(found.mask, photo))
             yield from (Row(row, network=found.network, s=ms / 1e3, kind=kind) for kind in kinds)
 
 
@@ -209,14 +217,25 @@ def follow(scene: Iterator[ObjectPhoto]) -> Iterator[Row]:
     if proposal is None or not is_right(proposal.mask, first):
         return
     shape = Centerline(n=20) if first.kind in THIN else Contour(n=32)
-    detector, network = ShapeDetector([shape], proposal.rule), proposal.rule.kind == "click_net"
+    detector, rule, looked = ShapeDetector([shape], proposal.rule), proposal.rule, list[Region]()
+
+    def watched(*arguments: Any) -> Region:
+        looked.append(segment(*arguments))
+        return looked[-1]
+
     for photo in chain([first], scene):
         if np.count_nonzero(photo.mask) < _HIDDEN * np.count_nonzero(first.mask):
             continue
-        ms = detector.detect(photo.rgb).timings["segmentation"]
-        # PLACE FOR THE NETWORK: with it the mask depends on the track; take the one that the detector has used.
-        mask = _seen(photo.rgb, proposal.rule)
-        yield Row(rule="network" if network else "colours", right=is_right(mask, photo), ms=ms)
+        with patch("shape_obs.tracking.search_window.segment", watched):
+            ms = detector.detect(photo.rgb).timings["segmentation"]
+        found = _mask_of(looked[-1], first.mask.shape)
+        yield Row(rule="network" if rule.kind == "click_net" else "colours", right=is_right(found, photo), ms=ms)
+
+
+def _mask_of(region: Region, size: tuple[int, ...]) -> Mask:
+    mask = np.zeros(size, np.bool_)
+    mask[region.window.slices] = region.mask > 0
+    return mask
 
 
 def sequences(count: int, seed: int) -> Iterator[Iterator[ObjectPhoto]]:
