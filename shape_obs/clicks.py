@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.frame import Frame
+from shape_obs.frame import Frame, depth_in_metres
 from shape_obs.image.click_net import HALF, ClickNet, Clicks, Photo, Pixel
 from shape_obs.image.clicked_colours import ClickedColours, fit_rule
 from shape_obs.image.find_region import find_region
@@ -34,6 +34,8 @@ _AT: Final = 2  # pixels around a click that count as clicked
 _NEAR: Final = 3.0  # pixels by which the borders of two masks of one object may differ
 _DIFFERENT: Final = 0.05  # share of either of two masks of one object that may be farther from the other
 _ROPE: Final = 5.0  # times as long as it is wide
+_STEP: Final = 0.006, 0.015  # metres, and share of the distance: a change of depth that separates things
+_DEEP: Final = 0.03  # metres by which parts of one object lie before or behind others, beyond a step
 _PLAUSIBLE: Final = Segmentation.min_area, Segmentation.min_share
 _GAP: Final = 15.0  # widths of what may hide a rope, such as a hand
 _MOST: Final = 0.6  # share of the image
@@ -67,17 +69,22 @@ def propose_segmentation(
         rgb: ``(H, W, 3)`` uint8, RGB.
         picks: (u, v) on the object, at least one.
         nots: (u, v) that are not on the object.
-        depth: ``(H, W)``, as a ``Frame`` takes it, aligned to rgb: the object ends where it changes abruptly.
+        depth: ``(H, W)``, as a ``Frame`` takes it, aligned to rgb: what lies at another depth than the object, beyond a
+            step, is not it.
 
     Raises:
         TypeError: The image is none, see ``Frame``.
         ValueError: A pixel lies outside the image, clicks contradict each other, or there is no object under them.
     """
-    _check(Frame(rgb, depth).rgb, picks, nots)
+    frame = Frame(rgb, depth)
+    _check(frame.rgb, picks, nots)
     small, on_it, off_it = _reduced(rgb, picks, nots)
     photo = Photo(small)
     on, off = (Clicks.at(photo.lab, photo.here(pixels)) for pixels in (on_it, off_it))
     seen = photo.probability(on, off) > HALF
+    if frame.depth is not None:
+        there = cv2.resize(depth_in_metres(frame.depth), small.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+        seen = _at_one_depth(seen, np.asarray(there, np.float32), on_it)
     if not any(_near(seen, pick).any() for pick in on_it):
         raise ValueError(
             f"pick: nothing at {_listed(picks)} stands out from what is around it; click in the middle of the object."
@@ -119,6 +126,23 @@ def _reduced(rgb: Image, *clicks: Sequence[Pixel]) -> tuple[Image, Sequence[Pixe
     small = rgb if scale == 1 else np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
     on, off = ([(min(u * scale, size[0] - 1), min(v * scale, size[1] - 1)) for u, v in each] for each in clicks)
     return small, on, off
+
+
+def _at_one_depth(seen: Mask, metres: npt.NDArray[np.float32], picks: Sequence[Pixel]) -> Mask:
+    """Return the parts of a mask, cut where depth changes abruptly, that lie about as far as those that were clicked."""
+    far, near = (np.where(np.isfinite(metres), metres, side) for side in (-np.inf, np.inf))
+    step = cv2.dilate(far, np.ones((3, 3), np.uint8)) - cv2.erode(near, np.ones((3, 3), np.uint8))
+    count, parts = cv2.connectedComponents((seen & (step <= np.maximum(_STEP[0], _STEP[1] * near))).view(np.uint8))
+    low, high = (np.full(count, side) for side in (np.inf, -np.inf))
+    np.minimum.at(low, parts.ravel(), near.ravel())
+    np.maximum.at(high, parts.ravel(), far.ravel())
+    own = np.unique([parts[round(v), round(u)] for u, v in picks])
+    own = own[own > 0]
+    if not len(own):
+        return seen
+    alike = (low <= high[own].max() + _DEEP) & (high >= low[own].min() - _DEEP)
+    alike[0] = True  # the steps themselves, and where depth is unknown
+    return seen & alike[parts]
 
 
 def _ropes_at(seen: Mask, rgb: Image, picks: Sequence[Pixel], nots: Sequence[Pixel]) -> Mask:

@@ -21,6 +21,8 @@ BATCH = 8
 _POOL: Final = 300  # scenes that the samples of a batch are taken from
 _NEW: Final = 4  # scenes drawn for each batch
 _LEAST: Final = 60  # pixels of an object that must be seen for it to be clicked
+_EVEN: Final = ((8, 8, 8), (8, 8, 8))  # levels between neighbouring pixels of an even ground
+_WIDE: Final = 0.2  # share of the photo, and of its border, that an even ground has
 _NEAR: Final = np.ones((5, 5), np.uint8)  # objects that come closer than 2 pixels touch
 
 
@@ -34,7 +36,7 @@ class Sample:
         on: Clicks on the object.
         off: Clicks off it.
         previous: ``(h, w)``, 0...1, the pass or frame before, None in the first pass.
-        kind: "click", "video" or "colour", see ``draw_sample``.
+        kind: "click", "video", "colour" or "ground", see ``draw_sample``.
         thin: Whether the object is a rope or ring, not a sheet.
     """
 
@@ -110,12 +112,15 @@ def draw_sample(rng: Random, scene: Scene, kind: str | None = None) -> Sample | 
         scene: The scene.
         kind: "click": clicks on the object and off it; "video": the mask of the frame before, places along the object,
             and colours from before a change of light; "colour": such colours alone, and all objects that have them are
-            meant. By default 75, 20 and 5 %.
+            meant; "ground": a click on a wide and even ground, which means nothing. By default 72, 20, 5 and 3 %.
     """
+    kind = kind or str(rng.choice(["click", "video", "colour", "ground"], p=[0.72, 0.2, 0.05, 0.03]))
+    if kind == "ground":
+        return _on_ground(rng, scene)
     choices = [index for index in range(len(scene.kinds)) if (scene.top == index + 1).sum() > _LEAST]
     if not choices:
         return None
-    kind, index = kind or str(rng.choice(["click", "video", "colour"], p=[0.75, 0.2, 0.05])), int(rng.choice(choices))
+    index = int(rng.choice(choices))
     mask, lab = scene.mask(index), as_lab(scene.photo)
     seen = mask * (scene.top == index + 1).astype(np.uint8)
     off = _places_off(rng, scene, mask) if kind == "click" or (kind == "video" and rng.random() < 0.3) else []
@@ -138,6 +143,21 @@ def draw_sample(rng: Random, scene: Scene, kind: str | None = None) -> Sample | 
         on = Clicks(places, Clicks.at(as_lab(_relit(rng, scene.photo)), pixels).colours)
         previous = _moved(rng, mask) if kind == "video" else None
     return Sample(scene.photo, target, on, Clicks.at(lab, off), previous, kind, scene.kinds[index] != "sheet")
+
+
+def _on_ground(rng: Random, scene: Scene) -> Sample | None:
+    """Draw a click on what is neither an object nor a thing: even, wide, and cut by the border of the photo."""
+    away = 1 - cv2.dilate((scene.whole > 0).astype(np.uint8), np.ones((25, 25), np.uint8))
+    if not away.any():
+        return None
+    pixel, even = _inside(rng, away), np.zeros((HEIGHT + 2, WIDTH + 2), np.uint8)
+    cv2.floodFill(scene.photo.copy(), even, pixel, (0,), *_EVEN, flags=4 | (1 << 8) | cv2.FLOODFILL_MASK_ONLY)
+    even = even[1:-1, 1:-1]
+    edge = np.concatenate([even[0], even[-1], even[:, 0], even[:, -1]])
+    if even.mean() < _WIDE or edge.mean() < _WIDE:
+        return None
+    on, off = Clicks.at(as_lab(scene.photo), [pixel]), Clicks()
+    return Sample(scene.photo, np.zeros(SHAPE, np.uint8), on, off, None, "ground", False)
 
 
 def _places_off(rng: Random, scene: Scene, mask: Array) -> list[tuple[int, int]]:

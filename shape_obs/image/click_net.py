@@ -33,7 +33,7 @@ CHANNELS: Final = 11
 HALF: Final = 0.5
 #: Pixels of the longer side of a photo as the network sees it; of the surroundings of a track, in a third of the time.
 LONGEST, _LONGEST_NEAR = 448, 320
-_SIDES: Final = 16  # pixels: what the network sees has sides of a multiple of this
+_SIDES: Final = 16  # pixels: what the network sees has sides of a multiple of this, two times at least
 _CONTEXT: Final = 32  # pixels around a search window that the network sees as well
 # Distances of colours in Lab at which their likeness falls to 1/e: strict, loose; to colours clicked away.
 _STRICT, _LOOSE, _AWAY = 8.0, 25.0, 10.0
@@ -128,7 +128,7 @@ class Photo:
     def __init__(self, rgb: Image, longest: int = LONGEST) -> None:
         height, width = rgb.shape[:2]
         ratio = min(1.0, longest / max(height, width)) / _SIDES
-        size = [max(round(side * ratio), 1) * _SIDES for side in (width, height)]
+        size = [max(round(side * ratio), 2) * _SIDES for side in (width, height)]
         self._size, self._scale = (width, height), np.array(size) / (width, height)
         self.rgb = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)  # (h, w, 3)
         self.lab = as_lab(self.rgb)
