@@ -12,6 +12,7 @@ import yaml
 from shape_obs import Centerline, ShapeDetector
 from shape_obs.clicks import propose_segmentation
 from shape_obs.config.config_file import detector_arguments, load_config, save_config
+from shape_obs.image.click_net import load_network
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.utils.arrays import read_image
 from tests.benchmarks.clicks import first_click
@@ -77,12 +78,36 @@ def test_a_click_that_is_not_on_the_object_excludes_what_is_there(two_ropes):
     assert overlap(large, cv2.resize(red.astype(np.uint8), (1280, 960)) > 0) > 0.8
 
 
-def test_what_cannot_be_excluded_is_named():
-    photo = np.full((240, 320, 3), 200, np.uint8)
-    for row in (60, 180):
-        cv2.line(photo, (40, row), (280, row), (190.0, 70.0, 50.0), 12, cv2.LINE_AA)
-    text = propose_segmentation(photo, [(160, 60)], [(160, 180)]).text
-    assert "(160, 180) could not be excluded: the colours there are the object's" in text
+@pytest.fixture
+def alike():
+    """Two ropes of one colour that cross, and the mask of the level one."""
+    photo, truth = np.full((240, 320, 3), (120, 150, 120), np.uint8), np.zeros((240, 320), np.uint8)
+    cv2.line(photo, (200, 20), (110, 220), (190.0, 70.0, 50.0), 12, cv2.LINE_AA)
+    for image, colour in ((photo, (190.0, 70.0, 50.0)), (truth, (1.0,))):
+        cv2.line(image, (40, 110), (280, 130), colour, 12, cv2.LINE_AA)
+    return cv2.GaussianBlur(photo, (0, 0), 0.8), truth > 0
+
+
+def test_of_ropes_of_one_colour_the_clicked_one_is_found_and_followed(alike):
+    photo, level = alike
+    proposal = propose_segmentation(photo, [(70, 112)])
+    assert overlap(proposal.mask, level) > 0.8
+    assert proposal.rule.kind == "click_net"
+    assert "network" in proposal.text
+    away = propose_segmentation(photo, [(150, 119)], [(190, 42)])
+    assert overlap(away.mask, level) > 0.8
+    saved = Segmentation.from_dict(proposal.rule.to_dict())
+    assert saved == proposal.rule
+    detector = ShapeDetector([Centerline(n=20)], saved)
+    expected = np.stack([np.linspace(34, 286, 41)[1::2], np.linspace(109.5, 130.5, 41)[1::2]], axis=1)
+    for shift in (*range(0, 40, 4), 40):  # 4 pixels a frame
+        moved = np.roll(photo, shift, axis=0)
+        moved[:shift] = photo[0]
+        shape = detector.detect(moved).shapes[0]
+        assert shape.ok, shape.reason
+        assert np.abs(shape.points2d[:, 1] - shift - np.interp(shape.points2d[:, 0], *expected.T)).max() < 4
+    assert not detector.detect(np.full_like(photo, (120, 150, 120))).shapes[0].visible.any()
+    assert detector.detect(moved).shapes[0].ok  # found again, by the colours
 
 
 def test_depth_separates_what_has_one_colour():
@@ -104,6 +129,7 @@ def test_depth_separates_what_has_one_colour():
         ([], [], "expected at least one pixel on the object, got none"),
         ([(900, 5)], [], r"pixel \(900, 5\) lies outside the image of 640 x 480"),
         ([(5, 5)], [(5, 900)], r"pixel \(5, 900\) lies outside"),
+        ([(50, 50), (90, 90)], [(91, 90)], r"\(90, 90\) is given as on the object, and \(91, 90\) as off it"),
     ],
 )
 def test_bad_clicks(rope, picks, nots, text):
@@ -111,14 +137,40 @@ def test_bad_clicks(rope, picks, nots, text):
         propose_segmentation(rope.rgb, picks, nots)
 
 
-def test_a_click_on_the_background_is_an_error():
-    with pytest.raises(ValueError, match=r"of the image looks like|has a colour of its own"):
-        propose_segmentation(np.full((120, 160, 3), 90, np.uint8), [(50, 50)])
+@pytest.mark.parametrize(
+    ("photo", "error", "text"),
+    [
+        (np.zeros((48, 64, 3)), TypeError, "uint8"),
+        (np.zeros((48, 64), np.uint8), ValueError, r"\(H, W, 3\)"),
+        (np.zeros((48, 64, 4), np.uint8), ValueError, r"\(H, W, 3\)"),
+        (np.zeros((16, 16, 3), np.uint8), ValueError, "at least 32 x 32 pixels, got 16 x 16"),
+        (np.full((240, 320, 3), 90, np.uint8), ValueError, "stands out"),
+    ],
+)
+def test_what_is_no_photo_of_an_object(photo, error, text):
+    with pytest.raises(error, match=text):
+        propose_segmentation(photo, [(10, 10)])
+
+
+def test_a_photo_of_twelve_megapixels_is_reduced(two_ropes):
+    photo, red = (cv2.resize(image.astype(np.uint8), (4000, 3000)) for image in two_ropes)
+    assert overlap(propose_segmentation(photo, [(2000, 875)]).mask, red > 0) > 0.8
+
+
+def test_a_damaged_network_is_refused(monkeypatch, tmp_path):
+    (tmp_path / "click_net.onnx").write_bytes(b"another")
+    monkeypatch.setattr("shape_obs.image.click_net.files", lambda package: tmp_path)
+    load_network.cache_clear()
+    with pytest.raises(RuntimeError, match=r"click_net.onnx is damaged.*install shape-obs again"):
+        propose_segmentation(np.zeros((48, 64, 3), np.uint8), [(10, 10)])
+    load_network.cache_clear()
 
 
 def test_a_rule_without_colours_says_how_to_learn_them():
     with pytest.raises(ValueError, match="--pick u,v"):
         Segmentation.from_dict({"kind": "click", "picks": [[3, 4]]})
+    with pytest.raises(ValueError, match="--pick u,v"):
+        Segmentation.from_dict({"kind": "click_net", "picks": [[3, 4]]})
     flat = {"weight": 1, "mean": [50, 0, 0], "covariance": [1, 0, 0, 0, 0, 1]}
     with pytest.raises(ValueError, match="not positive definite"):
         Segmentation.from_dict({"kind": "click", "object": [flat], "background": [flat]})
@@ -128,6 +180,7 @@ def test_a_rule_without_colours_says_how_to_learn_them():
 def test_a_real_rope():
     photo = read_image(REAL)
     proposal = propose_segmentation(photo, [(300, 123)])
+    assert proposal.rule.kind == "click"
     shape = ShapeDetector([Centerline(n=20)], proposal.rule).detect(photo).shapes[0]
     assert shape.ok, shape.reason
     assert 15_000 < np.count_nonzero(proposal.mask) < 22_000

@@ -124,13 +124,13 @@ def draw_sample(rng: Random, scene: Scene, kind: str | None = None) -> Sample | 
     mask, lab = scene.mask(index), as_lab(scene.photo)
     seen = mask * (scene.top == index + 1).astype(np.uint8)
     off = _places_off(rng, scene, mask) if kind == "click" or (kind == "video" and rng.random() < 0.3) else []
-    target = mask.copy()
+    target, ambiguous = mask.copy(), kind == "click"  # in a video the frame before says which one it is
     for other in scene.alike(index):
         part = scene.mask(other)
         ropes = scene.kinds[index] == scene.kinds[other] == "rope"  # separated afterwards, by following the clicked one
         if kind == "colour":
             target[part > 0] = 1
-        elif not any(part[y, x] for x, y in off) and (ropes or cv2.dilate(part, _NEAR)[mask > 0].any()):
+        elif ambiguous and not any(part[y, x] for x, y in off) and (ropes or cv2.dilate(part, _NEAR)[mask > 0].any()):
             target[(part > 0) & (mask == 0)] = 2
     crossing = seen * (np.bitwise_count(scene.whole) > 1)
     pixels = [_inside(rng, crossing if rng.random() < 0.2 and crossing.any() else seen)]
