@@ -17,14 +17,15 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.frame import Frame, depth_in_metres
-from shape_obs.image.click_net import HALF, ClickNet, Clicks, Photo, Pixel
+from shape_obs.image.click_net import HALF, Clicks, Photo, Pixel, load_network
 from shape_obs.image.clicked_colours import ClickedColours, fit_rule
 from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
-from shape_obs.image.segmentation import Segmentation
+from shape_obs.image.segmentation import Expected, FollowingRule, Segmentation, need
 from shape_obs.image.sharing import FOUND, MOST, part_of, share
 from shape_obs.initialization.objects import SceneObject
 from shape_obs.initialization.ropes import find_ropes
+from shape_obs.spec import SpecError
 
 Image = npt.NDArray[np.uint8]
 Mask = npt.NDArray[np.bool_]
@@ -38,6 +39,9 @@ _STEP: Final = 0.006, 0.015  # metres, and share of the distance: a change of de
 _DEEP: Final = 0.03  # metres by which parts of one object lie before or behind others, beyond a step
 _PLAUSIBLE: Final = Segmentation.min_area, Segmentation.min_share
 _GAP: Final = 15.0  # widths of what may hide a rope, such as a hand
+_LIKE: Final = 12.0  # distance in Lab to the colour of a click: it still looks the same there
+_LONGEST_NEAR: Final = 320  # pixels of the longer side of the surroundings of a track, as the network sees them
+_CONTEXT: Final = 32  # pixels around a search window that it sees as well
 _MOST: Final = 0.6  # share of the image
 
 
@@ -129,10 +133,11 @@ def _reduced(rgb: Image, *clicks: Sequence[Pixel]) -> tuple[Image, Sequence[Pixe
 
 
 def _at_one_depth(seen: Mask, metres: npt.NDArray[np.float32], picks: Sequence[Pixel]) -> Mask:
-    """Return the parts of a mask, cut where depth changes abruptly, that lie about as far as those that were clicked."""
+    """Return the parts of a mask, cut at steps of depth, that lie about as far away as those that were clicked."""
     far, near = (np.where(np.isfinite(metres), metres, side) for side in (-np.inf, np.inf))
     step = cv2.dilate(far, np.ones((3, 3), np.uint8)) - cv2.erode(near, np.ones((3, 3), np.uint8))
-    count, parts = cv2.connectedComponents((seen & (step <= np.maximum(_STEP[0], _STEP[1] * near))).view(np.uint8))
+    count, labels = cv2.connectedComponents((seen & (step <= np.maximum(_STEP[0], _STEP[1] * near))).view(np.uint8))
+    parts = np.asarray(labels, np.intp)
     low, high = (np.full(count, side) for side in (np.inf, -np.inf))
     np.minimum.at(low, parts.ravel(), near.ravel())
     np.maximum.at(high, parts.ravel(), far.ravel())
@@ -221,3 +226,61 @@ def _plain(pixels: Sequence[Pixel]) -> tuple[Pixel, ...]:
 def _rows(colours: npt.NDArray[np.float32]) -> tuple[tuple[float, float, float], ...]:
     rounded = np.round(colours.astype(np.float64), 2).tolist()
     return tuple((light, a, b) for light, a, b in rounded)
+
+
+@dataclass(frozen=True)
+class ClickNet(FollowingRule, kind="click_net"):
+    """Pixels that a small network takes for the object that was clicked, in each frame.
+
+    ``propose_segmentation`` chooses it where colours alone do not separate the object from all else. It looks around
+    the place where the track expects the object; what is lost is looked for everywhere by the colours of the clicks.
+
+    Args:
+        picks: (u, v) of the clicks on the object; kept for the record, no pixel is read there again.
+        nots: (u, v) of the clicks that are not on the object.
+        object: The colours under the clicks on it, (L, a, b) of CIE Lab; L 0...100.
+        background: Those under the other clicks.
+    """
+
+    picks: tuple[tuple[float, float], ...] = ()
+    nots: tuple[tuple[float, float], ...] = ()
+    object: tuple[tuple[float, float, float], ...] = ()
+    background: tuple[tuple[float, float, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.object or not np.isfinite([*self.object, *self.background]).all():
+            raise SpecError(
+                f"click_net: expected at least one colour (L, a, b) of the object, got {self.object}; `shape-obs "
+                "detect IMAGE --pick u,v` and shape_obs.clicks.propose_segmentation read them from an image."
+            )
+
+    def prepare(self) -> None:
+        """Load the network."""
+        load_network()
+
+    def threshold(self, frame: Frame, window: Window) -> npt.NDArray[np.bool_]:
+        """Look everywhere in a window, by the colours, and by the clicks where it still looks as it did there."""
+        rgb = need(frame.rgb, "rgb", self)[window.slices]
+        photo, places = Photo(rgb), np.array(self.picks).reshape(-1, 2) - (window.left, window.top)
+        inside = np.all((places >= 0) & (places <= (window.width - 1, window.height - 1)), axis=1)
+        there = Clicks.at(photo.lab, photo.here(places[inside]))
+        known = np.linalg.norm(there.colours[:, None] - np.array(self.object, np.float32), axis=2).min(axis=1) < _LIKE
+        on, off = self._clicks(there.places[known])
+        return _ropes_at(photo.probability(on, off) > HALF, rgb, places[inside][known].tolist(), [])
+
+    def threshold_near(self, frame: Frame, window: Window, expected: Expected) -> npt.NDArray[np.bool_]:
+        """Look around the nodes that are expected, once."""
+        rgb = need(frame.rgb, "rgb", self)
+        left, top = max(window.left - _CONTEXT, 0), max(window.top - _CONTEXT, 0)
+        seen = np.s_[top : window.top + window.height + _CONTEXT, left : window.left + window.width + _CONTEXT]
+        photo = Photo(rgb[seen], _LONGEST_NEAR)
+        before = cv2.resize(expected.mask[seen], photo.rgb.shape[1::-1], interpolation=cv2.INTER_AREA)
+        clicks = self._clicks(photo.here(expected.nodes - (left, top)))
+        found = photo.probability(*clicks, np.asarray(before, np.float32), passes=1)
+        return found[window.top - top :, window.left - left :][: window.height, : window.width] > HALF
+
+    def _clicks(self, places: npt.NDArray[np.float32]) -> tuple[Clicks, Clicks]:
+        """Return clicks of the colours that were clicked, at other places."""
+        colours = (np.array(each, np.float32).reshape(-1, 3) for each in (self.object, self.background))
+        return Clicks(places, next(colours)), Clicks(colours=next(colours))

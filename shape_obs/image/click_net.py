@@ -1,4 +1,4 @@
-"""A small network that turns clicks on a photo into the mask of what was clicked, and follows it through a video.
+"""A small network that turns clicks on a photo into the mask of what was clicked.
 
 It sees a photo whose longer side has about 450 pixels, the colours that were clicked, where, and the mask of the pass
 before. It was trained on drawings alone, by examples/click_net; click_net.md is its card.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
 from threading import Lock
@@ -18,11 +17,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.frame import Frame
-from shape_obs.image.roi import Window
-from shape_obs.image.segmentation import Expected, FollowingRule, need
-from shape_obs.spec import SpecError
-
 Array = npt.NDArray[np.float32]
 Image = npt.NDArray[np.uint8]
 Pixel = tuple[float, float]
@@ -31,10 +25,9 @@ Pixel = tuple[float, float]
 CHANNELS: Final = 11
 #: Probability from which a pixel is the object's.
 HALF: Final = 0.5
-#: Pixels of the longer side of a photo as the network sees it; of the surroundings of a track, in a third of the time.
-LONGEST, _LONGEST_NEAR = 448, 320
+#: Pixels of the longer side of a photo as the network sees it.
+LONGEST: Final = 448
 _SIDES: Final = 16  # pixels: what the network sees has sides of a multiple of this, two times at least
-_CONTEXT: Final = 32  # pixels around a search window that the network sees as well
 # Distances of colours in Lab at which their likeness falls to 1/e: strict, loose; to colours clicked away.
 _STRICT, _LOOSE, _AWAY = 8.0, 25.0, 10.0
 _OF_LIGHT: Final = 0.5  # weight of squared differences of lightness: light and shadow differ in it most
@@ -162,56 +155,3 @@ def load_network() -> tuple[cv2.dnn.Net, Lock]:
     if hashlib.sha256(content).hexdigest() != _SHA256:
         raise RuntimeError(f"pick: {_FILE} is damaged, or not the one of this version; install shape-obs again.")
     return cv2.dnn.readNetFromONNX(np.frombuffer(content, np.uint8)), Lock()
-
-
-@dataclass(frozen=True)
-class ClickNet(FollowingRule, kind="click_net"):
-    """Pixels that a small network takes for the object that was clicked, in each frame.
-
-    ``propose_segmentation`` chooses it where colours alone do not separate the object from all else. It looks around
-    the place where the track expects the object; what is lost is looked for everywhere by the colours of the clicks.
-
-    Args:
-        picks: (u, v) of the clicks on the object; kept for the record, no pixel is read there again.
-        nots: (u, v) of the clicks that are not on the object.
-        object: The colours under the clicks on it, (L, a, b) of CIE Lab; L 0...100.
-        background: Those under the other clicks.
-    """
-
-    picks: tuple[tuple[float, float], ...] = ()
-    nots: tuple[tuple[float, float], ...] = ()
-    object: tuple[tuple[float, float, float], ...] = ()
-    background: tuple[tuple[float, float, float], ...] = ()
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.object or not np.isfinite([*self.object, *self.background]).all():
-            raise SpecError(
-                f"click_net: expected at least one colour (L, a, b) of the object, got {self.object}; `shape-obs "
-                "detect IMAGE --pick u,v` and shape_obs.clicks.propose_segmentation read them from an image."
-            )
-
-    def prepare(self) -> None:
-        """Load the network."""
-        load_network()
-
-    def threshold(self, frame: Frame, window: Window) -> npt.NDArray[np.bool_]:
-        """Look everywhere in a window, by the colours alone, and once more by what was found."""
-        photo = Photo(need(frame.rgb, "rgb", self)[window.slices])
-        return photo.probability(*self._clicks(Clicks().places)) > HALF
-
-    def threshold_near(self, frame: Frame, window: Window, expected: Expected) -> npt.NDArray[np.bool_]:
-        """Look around the nodes that are expected, once."""
-        rgb = need(frame.rgb, "rgb", self)
-        left, top = max(window.left - _CONTEXT, 0), max(window.top - _CONTEXT, 0)
-        seen = np.s_[top : window.top + window.height + _CONTEXT, left : window.left + window.width + _CONTEXT]
-        photo = Photo(rgb[seen], _LONGEST_NEAR)
-        before = cv2.resize(expected.mask[seen], photo.rgb.shape[1::-1], interpolation=cv2.INTER_AREA)
-        clicks = self._clicks(photo.here(expected.nodes - (left, top)))
-        found = photo.probability(*clicks, np.asarray(before, np.float32), passes=1)
-        return found[window.top - top :, window.left - left :][: window.height, : window.width] > HALF
-
-    def _clicks(self, places: Array) -> tuple[Clicks, Clicks]:
-        """Return clicks of the colours that were clicked, at other places."""
-        colours = (np.array(each, np.float32).reshape(-1, 3) for each in (self.object, self.background))
-        return Clicks(places, next(colours)), Clicks(colours=next(colours))

@@ -32,7 +32,7 @@ _KEPT: Final = 16  # tables, 2 MB each
 _ELSEWHERE: Final = {
     "callable": "shape_obs.image.mask_function",
     "click": "shape_obs.image.clicked_colours",
-    "click_net": "shape_obs.image.click_net",
+    "click_net": "shape_obs.clicks",
 }
 
 
