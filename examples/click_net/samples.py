@@ -74,7 +74,6 @@ class Batches(IterableDataset[tuple[list[Sample], Tensor]]):
         self.seed, self.first = seed, first
 
     def __iter__(self) -> Iterator[tuple[list[Sample], Tensor]]:
-        cv2.setNumThreads(1)
         batch, drawn = self.first, self.first * _NEW
         pool: deque[Scene] = deque(maxlen=_POOL)
         while True:

@@ -133,6 +133,7 @@ def _moving_mean(mean: Tensor, new: Tensor, count: Tensor | int) -> Tensor:
 def train(minutes: float, out: Path, total: float, seed: int) -> None:
     """Train for some minutes more, and write the network."""
     torch.set_num_threads(1)
+    cv2.setNumThreads(1)  # before the process that draws is forked: threads of OpenCV do not survive that
     torch.manual_seed(seed)
     out.mkdir(parents=True, exist_ok=True)
     file, progress, network = out / "checkpoint.pt", Progress(seed), ClickNet().to(memory_format=torch.channels_last)
