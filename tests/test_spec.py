@@ -62,7 +62,7 @@ def test_lists_and_numpy_values_become_plain_ones_whichever_way_they_come():
     ("family", "value", "message"),
     [
         (Segmentation, {"kind": "hvs"}, "segmentation: unknown kind 'hvs'; did you mean 'hsv'? Known: callable, click"),
-        (Segmentation, {"low": 3}, "segmentation: 'kind' is missing; known kinds: callable, click, depth, gray, hsv"),
+        (Segmentation, {"low": 3}, "segmentation: 'kind' is missing; known kinds: callable, click, click_net, depth"),
         (Segmentation, {"kind": "gray", "hihg": 3}, "gray: unknown field 'hihg'; did you mean 'high'? Known: open"),
         (Segmentation, {"kind": "hsv", "low": [1, 2, 3]}, "hsv: missing high; fields: open, close, min_area, "),
         (Segmentation, 7, "Segmentation: expected a mapping or a Segmentation, got 7 (int)."),
