@@ -7,7 +7,7 @@ what it costs with a range of hues.
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, Final
 
@@ -32,7 +32,6 @@ _REACH: Final = 6.0  # standard deviations; farther colours are not the object's
 _FEWEST: Final = 30  # samples for each colour of a mixture
 _SPREAD: Final = 4.0  # least variance of a colour: noise, and what is between two cells
 _KEPT: Final = 16  # tables
-_SQUARE: Final = np.ones((3, 3), np.uint8)
 _CORE: Final = 0.3  # share of a mask that is not its border, at least, for the border to be left out
 _NEAR: Final = 25  # pixels around an object that count as its surroundings
 # Of the object and of all else: samples, and colours of a mixture.
@@ -118,11 +117,10 @@ def fit_rule(rgb: npt.NDArray[np.uint8], mask: npt.NDArray[np.bool_]) -> Clicked
         rgb: ``(H, W, 3)`` uint8.
         mask: ``(H, W)`` bool.
     """
-    inner = np.asarray(cv2.erode(mask.view(np.uint8), _SQUARE)).view(np.bool_)
+    inside, outside = (cv2.distanceTransform(side.view(np.uint8), cv2.DIST_C, 3) for side in (mask, ~mask))
+    inner, away, near = inside > 1, outside > 2, (outside > 2) & (outside <= _NEAR)
     if np.count_nonzero(inner) < _CORE * np.count_nonzero(mask):
         inner = mask  # at the border colours are mixed, but nothing else is left of it
-    away = np.asarray(cv2.dilate(mask.view(np.uint8), _SQUARE, iterations=2)) == 0
-    near = away & np.asarray(cv2.dilate(mask.view(np.uint8), np.ones((2 * _NEAR + 1,) * 2, np.uint8))).view(np.bool_)
     if not inner.any() or np.count_nonzero(away) < _FEWEST:
         return None
     lab, rng = cv2.cvtColor(cv2.medianBlur(rgb, 3), cv2.COLOR_RGB2LAB), np.random.default_rng(0)
@@ -132,15 +130,14 @@ def fit_rule(rgb: npt.NDArray[np.uint8], mask: npt.NDArray[np.bool_]) -> Clicked
         chosen = chosen if len(chosen) <= count else rng.choice(chosen, count, replace=False)
         return np.asarray((lab.reshape(-1, 3)[chosen] - _ZERO) * _SCALE, np.float64)
 
-    inside = fit_colours(sample(inner, _SAMPLES[0]), _COLOURS[0])
     ground = np.concatenate([sample(near, _SAMPLES[1]), sample(away, _SAMPLES[1])])
-    rule = ClickedColours(object=inside, background=fit_colours(ground, _COLOURS[1]))
-    odds = _odds_table(rule.object, rule.background)[cells_of(rgb)]
+    colours = fit_colours(sample(inner, _SAMPLES[0]), _COLOURS[0]), fit_colours(ground, _COLOURS[1])
+    odds = _odds_table(*colours)[cells_of(rgb)]
     # Intersection over union of what is above each strictness with the mask.
     both = np.array([np.count_nonzero((odds > level) & mask) for level in _STRICTNESS])
     found = np.array([np.count_nonzero(odds > level) for level in _STRICTNESS])
     best = int(np.argmax(both / (np.count_nonzero(mask) + found - both)))
-    return replace(rule, strictness=_STRICTNESS[best])
+    return ClickedColours(object=colours[0], background=colours[1], strictness=_STRICTNESS[best])
 
 
 def fit_colours(colours: Array, count: int) -> tuple[ColourGaussian, ...]:
@@ -169,45 +166,28 @@ def cells_of(rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.int32]:
     return (cell[..., 0] * _CELLS + cell[..., 1]) * _CELLS + cell[..., 2]
 
 
-def colours_of(cells: npt.NDArray[np.integer[Any]]) -> Array:
-    """Return the Lab colour in the middle of cells: ``(K,)`` -> ``(K, 3)``."""
-    lab = np.stack([cells // _CELLS**2, cells // _CELLS % _CELLS, cells % _CELLS], axis=1).astype(np.float64)
-    return (lab * CELL + (CELL - 1) / 2 - _ZERO) * _SCALE
-
-
-def as_lab(stored: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    """Return CIE Lab from 8-bit Lab of OpenCV, ``(h, w, 3)`` float32: L 0...100, a and b about -128...127."""
-    return (stored.astype(np.float32) - _ZERO.astype(np.float32)) * _SCALE.astype(np.float32)
-
-
-def log_odds(lab: Array, inside: tuple[ColourGaussian, ...], outside: tuple[ColourGaussian, ...]) -> Array:
-    """Return how much more probable colours are in one mixture than in another: ``(K, 3)`` -> ``(K,)`` natural log."""
+@lru_cache(maxsize=_KEPT)
+def _odds_table(inside: tuple[ColourGaussian, ...], outside: tuple[ColourGaussian, ...]) -> npt.NDArray[np.float32]:
+    """Return how much more probable each cell of Lab is inside than outside, natural log; far from the object -inf."""
+    near = np.zeros((_CELLS, _CELLS, _CELLS), np.bool_)
+    for each in inside:
+        reach = _REACH * np.sqrt(np.diag(each.matrix))
+        ends = ((np.array([each.mean - reach, each.mean + reach]) / _SCALE + _ZERO) / CELL).clip(0, _CELLS)
+        near[tuple(slice(int(first), int(np.ceil(last)) + 1) for first, last in ends.T)] = True
+    middles = np.argwhere(near).astype(np.float64) * CELL + (CELL - 1) / 2  # (K, 3) of the cells
+    lab = np.asarray((middles - _ZERO) * _SCALE, np.float64)
     unknown = np.full((1, len(lab)), np.log(_UNKNOWN / _GAMUT))
     others = np.concatenate([_log_densities(lab, outside), unknown])
-    return np.logaddexp.reduce(_log_densities(lab, inside), axis=0) - np.logaddexp.reduce(others, axis=0)
+    table = np.full(near.size, -np.inf, np.float32)
+    table[near.ravel()] = np.logaddexp.reduce(_log_densities(lab, inside)) - np.logaddexp.reduce(others)
+    return table
 
 
 def _log_densities(lab: Array, mixture: tuple[ColourGaussian, ...]) -> Array:
-    """Return the weighted log density of each colour in each Gaussian: ``(G, K)``."""
+    """Return the weighted log density of each colour in each Gaussian: ``(K, 3)`` -> ``(G, K)``."""
     rows = []
     for each in mixture:
         inverse = np.linalg.cholesky(np.linalg.inv(each.matrix))
         scale = np.log(each.weight) - 1.5 * np.log(2 * np.pi) + np.log(np.diag(inverse)).sum()
         rows.append(scale - 0.5 * (((lab - each.mean) @ inverse) ** 2).sum(axis=1))
     return np.array(rows)
-
-
-@lru_cache(maxsize=_KEPT)
-def _odds_table(inside: tuple[ColourGaussian, ...], outside: tuple[ColourGaussian, ...]) -> npt.NDArray[np.float32]:
-    """Return ``log_odds`` of all cells of Lab that are near a colour of the object; those of the others are -inf."""
-    near = np.zeros((_CELLS, _CELLS, _CELLS), np.bool_)
-    for each in inside:
-        reach = _REACH * np.sqrt(np.diag(each.matrix))
-        low, high = (((np.array(each.mean) + side * reach) / _SCALE + _ZERO) / CELL for side in (-1, 1))
-        first = np.clip(np.floor(low), 0, _CELLS).astype(int)
-        stop = np.clip(np.ceil(high) + 1, 0, _CELLS).astype(int)
-        near[first[0] : stop[0], first[1] : stop[1], first[2] : stop[2]] = True
-    cells = np.flatnonzero(near)
-    table = np.full(_CELLS**3, -np.inf, np.float32)
-    table[cells] = log_odds(colours_of(cells), inside, outside)
-    return table
