@@ -24,7 +24,7 @@ from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Expected, FollowingRule, Segmentation, need
 from shape_obs.image.sharing import FOUND, MOST, part_of, share
 from shape_obs.initialization.objects import SceneObject
-from shape_obs.initialization.ropes import find_ropes
+from shape_obs.initialization.ropes import Gap, find_ropes
 from shape_obs.spec import SpecError
 
 Image = npt.NDArray[np.uint8]
@@ -38,7 +38,7 @@ _ROPE: Final = 11.0  # times as long as it is wide; garments are up to 9 times
 _STEP: Final = 0.006, 0.015  # metres, and share of the distance: a change of depth that separates things
 _DEEP: Final = 0.03  # metres by which parts of one object lie before or behind others, beyond a step
 _PLAUSIBLE: Final = Segmentation.min_area, Segmentation.min_share
-_GAP: Final = 15.0  # widths of what may hide a rope, such as a hand
+_GAP: Final = Gap(15.0, 1.0)  # as wide as what may hide a rope, such as a hand
 _LIKE: Final = 12.0  # distance in Lab to the colour of a click: it still looks the same there
 _LONGEST_NEAR: Final = 320  # pixels of the longer side of the surroundings of a track, as the network sees them
 _CONTEXT: Final = 32  # pixels around a search window that it sees as well
@@ -93,12 +93,13 @@ def propose_segmentation(
         raise ValueError(
             f"pick: nothing at {_listed(picks)} stands out from what is around it; click in the middle of the object."
         )
-    mask, colours, record = _ropes_at(seen, small, on_it, off_it), fit_rule(small, seen), (_plain(picks), _plain(nots))
+    mask, colours = _ropes_at(seen, small, on_it, off_it), fit_rule(small, seen)
+    record = _plain(picks), _plain(nots)
     if colours is not None and _is_same(_found(colours, small), mask):
         rule: Segmentation = replace(colours, picks=record[0], nots=record[1])
-        mask = _found(colours, rgb)
     else:
         rule = ClickNet(picks=record[0], nots=record[1], object=_rows(on.colours), background=_rows(off.colours))
+    if small is not rgb:
         mask = cv2.resize(mask.view(np.uint8), rgb.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
     if mask.mean() > _MOST:
         raise ValueError(

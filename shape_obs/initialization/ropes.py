@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import combinations
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,24 +24,35 @@ End = tuple[int, int]  # a strand, and which of its ends
 # In widths: a shorter strand with an end on another one is a knob or noise, and a shorter one is no rope at all.
 _STUB: Final = 4.0
 _SHORTEST: Final = 3.0
-# A gap in the mask: how far apart two ends are at most, in widths (a curve ends up to a width before its rope); what
-# the way over it may bend, in rad^2; how much dearer the next best way on must be for either end.
-GAP: Final = 3.0
-_BENT: Final = 0.3
 _SURE: Final = 0.08  # rad^2: over a gap where it bends more, a rope is joined, and doubted
 _ACROSS: Final = 0.15  # rad^2: where it bends more between another rope and a gap next to it, a rope is not joined
-_RIVAL: Final = 2.0
+_RIVAL: Final = 2.0  # how much dearer the next best way over a gap must be for either end
 _STIFFNESS: Final = 12.0  # widths of a gap that a bend of 1 rad^2 is as dear as
 _REACH: Final = 1.5  # widths over which an end's direction is taken
 
 
-def find_ropes(region: Region, picture: Picture | None = None, gap: float = GAP) -> tuple[list[SceneObject], str]:
+class Gap(NamedTuple):
+    """How far apart two pieces of one rope are at most.
+
+    Args:
+        widths: From end to end; a curve ends up to a width before its rope.
+        bend: What the way over it may bend, rad^2.
+    """
+
+    widths: float
+    bend: float
+
+
+NARROW: Final = Gap(3.0, 0.3)
+
+
+def find_ropes(region: Region, picture: Picture | None = None, gap: Gap = NARROW) -> tuple[list[SceneObject], str]:
     """Return the ropes of a mask, longest first, and why there are none.
 
     Args:
         region: The mask of any number of ropes that may lie over each other.
         picture: ``(H, W, 3)`` RGB, in which ropes may have colours of their own; None without one.
-        gap: Widths between two pieces of one rope, at most.
+        gap: What may lie between two pieces of one rope.
     """
     strands, refusal = find_strands(without_pinholes(region), Evidence(picture))
     strands = [strand for strand in strands if not _is_stub(strand)]
@@ -55,7 +66,7 @@ def _is_stub(strand: Strand) -> bool:
     return strand.length < (_STUB if any(strand.inside) else _SHORTEST) * strand.width
 
 
-def _joined(strands: list[Strand], region: Region, picture: Picture | None, widest: float) -> list[Strand]:
+def _joined(strands: list[Strand], region: Region, picture: Picture | None, widest: Gap) -> list[Strand]:
     """Join strands end to end, cheapest first, where no other end is about as good a continuation.
 
     An end that lies on another rope goes on beyond that one, if a gap in the mask is what keeps the two apart.
@@ -93,7 +104,7 @@ def _joined(strands: list[Strand], region: Region, picture: Picture | None, wide
 
 
 def _price(
-    strands: list[Strand], a: End, b: End, leads: dict[End, Lead], across: dict[End, float], widest: float
+    strands: list[Strand], a: End, b: End, leads: dict[End, Lead], across: dict[End, float], widest: Gap
 ) -> float:
     """Return what it costs to join two ends, in widths of gap; inf for a gap that is too wide or too bent.
 
@@ -103,9 +114,9 @@ def _price(
         return np.inf
     width = max(strands[a[0]].width, strands[b[0]].width)
     ends = [strands[i].curve[-e] for i, e in (a, b)]
-    most = _ACROSS if a in across or b in across else _BENT
+    most = _ACROSS if a in across or b in across else widest.bend
     gap = max(float(np.linalg.norm(ends[1] - ends[0])) - across.get(a, 0.0) - across.get(b, 0.0), 0.0) / width
-    bend = bending(leads[a], leads[b]) if gap < widest else np.inf
+    bend = bending(leads[a], leads[b]) if gap < widest.widths else np.inf
     return gap + _STIFFNESS * bend if bend < most else np.inf
 
 

@@ -50,6 +50,7 @@ _MOST: Final = 0.9  # share of a skeleton, and of a mask, that has to be near th
 _NEAR: Final = 2.0  # pixels from the axis of a rope or wire to the skeleton of its mask
 _CLOSE: Final = 3.0  # pixels from the skeleton to the axis, and between the masks
 _WIDE: Final = 0.1  # of a rope's width: what is near where that is more, as skeletons of wide masks are less certain
+_PIXELS: Final = np.ones((3, 3), np.uint8)
 _DEEP: Final = 1.9  # pixels from the border of an error to where it is clicked, at least
 _MIDDLE: Final = 0.5  # of the largest distance from the border: how far in the middle the first click is
 _WIDEST: Final = 12.0  # pixels from the border that are middle enough
@@ -100,8 +101,11 @@ def is_right(found: Mask, photo: ObjectPhoto) -> bool:
     found = found & ~photo.ignored
     if not found.any():
         return False
-    # What does not count is filled, so that no skeleton forks where something lies over the rope.
-    line, true_line = skeletonize(found | photo.ignored), skeletonize(photo.mask | photo.ignored) & photo.mask
+    # What does not count is filled, so that no skeleton forks where something lies over the rope, and so are pinholes.
+    line, true_line = (
+        skeletonize(cv2.morphologyEx((found | photo.ignored).view(np.uint8), cv2.MORPH_CLOSE, _PIXELS) > 0),
+        skeletonize(photo.mask | photo.ignored) & photo.mask,
+    )
     v, u = np.round(photo.centreline[:, ::-1]).astype(int).T
     axis = np.zeros(found.shape, np.bool_)
     axis[v, u] = True
