@@ -100,7 +100,8 @@ def test_of_ropes_of_one_colour_the_clicked_one_is_found_and_followed(alike):
     assert saved == proposal.rule
     detector = ShapeDetector([Centerline(n=20)], saved)
     expected = np.stack([np.linspace(34, 286, 41)[1::2], np.linspace(109.5, 130.5, 41)[1::2]], axis=1)
-    for shift in (*range(0, 40, 4), 40):  # 4 pixels a frame
+    moved = photo
+    for shift in range(0, 41, 4):  # pixels
         moved = np.roll(photo, shift, axis=0)
         moved[:shift] = photo[0]
         shape = detector.detect(moved).shapes[0]

@@ -159,7 +159,7 @@ class Expected(NamedTuple):
 
 
 class FollowingRule(Segmentation):
-    """A pixel rule that is told where the track expects the object."""
+    """A pixel rule that looks where the track expects the object."""
 
     def apply_near(self, frame: Frame, window: Window, expected: Expected) -> npt.NDArray[np.uint8]:
         """Return what ``apply`` returns, of an object that is expected somewhere."""

@@ -181,7 +181,7 @@ def draw_expected(mask: npt.NDArray[np.uint8], nodes: npt.NDArray[np.float64], t
         return
     long = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
     thick = track.width if isinstance(track.topology, Chain) and track.nodes.shape[1] == 2 else long
-    cv2.polylines(mask, corners, False, (1,), max(round(thick), 1), shift=4)
+    cv2.polylines(mask, list(corners), False, (1,), max(round(thick), 1), shift=4)
 
 
 @lru_cache(maxsize=16)
