@@ -7,6 +7,7 @@ if they give it again, else the network in each frame.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -22,7 +23,7 @@ from shape_obs.image.clicked_colours import ClickedColours, fit_rule
 from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Expected, FollowingRule, Segmentation, need
-from shape_obs.image.sharing import FOUND, MOST, part_of, share
+from shape_obs.image.sharing import FOUND, MOST, TRACED, part_of, share
 from shape_obs.initialization.objects import SceneObject
 from shape_obs.initialization.ropes import Gap, find_ropes
 from shape_obs.spec import SpecError
@@ -41,6 +42,7 @@ _PLAUSIBLE: Final = Segmentation.min_area, Segmentation.min_share
 _GAP: Final = Gap(15.0, 1.0)  # as wide as what may hide a rope, such as a hand
 _LIKE: Final = 12.0  # distance in Lab to the colour of a click: it still looks the same there
 _LONGEST_NEAR: Final = 320  # pixels of the longer side of the surroundings of a track, as the network sees them
+_FEWEST_NODES: Final = 3  # of a track that lie on the rope that it follows; where another one crosses it has one or two
 _CONTEXT: Final = 32  # pixels around a search window that it sees as well
 _MOST: Final = 0.6  # share of the image
 
@@ -151,19 +153,20 @@ def _at_one_depth(seen: Mask, metres: npt.NDArray[np.float32], picks: Sequence[P
     return seen & alike[parts]
 
 
-def _ropes_at(seen: Mask, rgb: Image, picks: Sequence[Pixel], nots: Sequence[Pixel]) -> Mask:
-    """Return the ropes of a mask that were clicked, over all crossings; all of a mask that holds no two ropes.
+def _ropes_at(seen: Mask, rgb: Image, picks: Sequence[Pixel], nots: Sequence[Pixel], least: int = 1) -> Mask:
+    """Return the ropes of a mask that have ``least`` of the picks and no not, over all crossings; else all of the mask.
 
     Ropes of one colour look alike to the network; which way each goes is a matter of its curve.
     """
     region = find_region(seen.view(np.uint8), _whole(seen), *_PLAUSIBLE)
     whole = region.mask > 0
     ropes = find_ropes(region, rgb, _GAP)[0] if region.area and region.length > _ROPE * region.width else []
-    at = [{_nearest(ropes, pixel) for pixel in pixels} - {None} for pixels in (picks, nots)]
-    clicked = [k for k in at[0] - at[1] if k is not None]
-    if not clicked or not 1 < len(ropes) <= MOST:
+    on, off = (Counter(_nearest(ropes, pixel) for pixel in pixels) for pixels in (picks, nots))
+    clicked = [k for k, count in on.items() if k is not None and count >= least and k not in off]
+    if not clicked or len(ropes) > MOST or (len(ropes) == least == 1):
         return whole
-    owners, _, _ = share(region, [rope.curve.points for rope in ropes], [rope.width for rope in ropes], FOUND)
+    reach = FOUND if least == 1 else TRACED  # what sticks out of a rope that is known is not its own
+    owners, _, _ = share(region, [rope.curve.points for rope in ropes], [rope.width for rope in ropes], reach)
     part, mask = part_of(region, owners, clicked, *_PLAUSIBLE), np.zeros_like(whole)
     mask[part.window.slices] = part.mask > 0
     return mask
@@ -279,7 +282,9 @@ class ClickNet(FollowingRule, kind="click_net"):
         before = cv2.resize(expected.mask[seen], photo.rgb.shape[1::-1], interpolation=cv2.INTER_AREA)
         clicks = self._clicks(photo.here(expected.nodes - (left, top)))
         found = photo.probability(*clicks, np.asarray(before, np.float32), passes=1)
-        return found[window.top - top :, window.left - left :][: window.height, : window.width] > HALF
+        part = found[window.top - top :, window.left - left :][: window.height, : window.width] > HALF
+        nodes = (expected.nodes - (window.left, window.top)).tolist()
+        return _ropes_at(np.ascontiguousarray(part), rgb[window.slices], nodes, [], least=_FEWEST_NODES)
 
     def _clicks(self, places: npt.NDArray[np.float32]) -> tuple[Clicks, Clicks]:
         """Return clicks of the colours that were clicked, at other places."""

@@ -108,25 +108,27 @@ class RegionSearch:
         if rule in self.regions:
             return self.regions[rule]
         frame, whole = self.frame, self.whole
-        expected = predict_search_window(self.tracks[rule]) if rule in self.tracks else None
+        tracks = self.tracks.get(rule, [None])
+        expected, near = predict_search_window(tracks), None
+        if isinstance(rule, FollowingRule) and None not in tracks:
+            near = self._expected(tracks)  # also where a hand may hide more of it than is known
         reach = 1 if rule is None else 1 + rule.open + rule.close
         window, width = whole, 0.0
-        if expected is None:
+        if expected is None and near is None:
             self.tracks.pop(rule, None)
-        else:
+        elif expected is not None:
             window, width = _clipped(expected.window, reach, whole), expected.width
         if self.mask is None:
             assert rule is not None
             if rule.whole_image:
                 region = cut_region(self.whole_mask(rule), window, rule, self.roi)
             else:
-                near = self._expected(rule) if expected is not None and isinstance(rule, FollowingRule) else None
                 region = segment(frame, window, rule, self.roi, width, near)
         else:
             floor, mask = rule or Segmentation, self.roi.blank(self.mask[window.slices], window)
             region = find_region(mask, window, floor.min_area, floor.min_share)
         self.regions[rule] = region
-        if expected is not None and (not region.areas or _is_cut(region.box, reach, window, whole)):
+        if rule in self.tracks and (not region.areas or _is_cut(region.box, reach, window, whole)):
             self.widen(rule)
             return self.region(rule)
         return region
@@ -141,11 +143,11 @@ class RegionSearch:
             self.masks[bare] = checked_mask(found, self.frame.size, rule.label)
         return self.masks[bare]
 
-    def _expected(self, rule: Segmentation) -> Expected:
-        """Return where the tracks of a rule expect its objects: their nodes, and the pixels around these."""
+    def _expected(self, tracks: Iterable[Track | None]) -> Expected:
+        """Return where tracks expect their objects: their nodes, and the pixels around these."""
         assert self.frame.size is not None
         mask, places = np.zeros(self.frame.size, np.uint8), []
-        for track in filter(None, self.tracks[rule]):
+        for track in filter(None, tracks):
             nodes = track.nodes + track.interval * track.velocity  # (K, D)
             if nodes.shape[1] == 3 and self.frame.camera is not None:
                 nodes = self.frame.camera.intrinsics.project(nodes)
