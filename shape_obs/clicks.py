@@ -41,7 +41,7 @@ _DEEP: Final = 0.03  # metres by which parts of one object lie before or behind 
 _PLAUSIBLE: Final = Segmentation.min_area, Segmentation.min_share
 _GAP: Final = Gap(15.0, 1.0)  # as wide as what may hide a rope, such as a hand
 _LIKE: Final = 12.0  # distance in Lab to the colour of a click: it still looks the same there
-_LONGEST_NEAR: Final = 320  # pixels of the longer side of the surroundings of a track, as the network sees them
+_PIXELS_NEAR: Final = 100_000  # of the surroundings of a track, as the network sees them: it looks at these once
 _FEWEST_NODES: Final = 3  # of a track that lie on the rope that it follows; where another one crosses it has one or two
 _CONTEXT: Final = 32  # pixels around a search window that it sees as well
 _MOST: Final = 0.6  # share of the image
@@ -278,7 +278,7 @@ class ClickNet(FollowingRule, kind="click_net"):
         rgb = need(frame.rgb, "rgb", self)
         left, top = max(window.left - _CONTEXT, 0), max(window.top - _CONTEXT, 0)
         seen = np.s_[top : window.top + window.height + _CONTEXT, left : window.left + window.width + _CONTEXT]
-        photo = Photo(rgb[seen], _LONGEST_NEAR)
+        photo = Photo(rgb[seen], _PIXELS_NEAR)
         before = cv2.resize(expected.mask[seen], photo.rgb.shape[1::-1], interpolation=cv2.INTER_AREA)
         clicks = self._clicks(photo.here(expected.nodes - (left, top)))
         found = photo.probability(*clicks, np.asarray(before, np.float32), passes=1)

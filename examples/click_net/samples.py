@@ -23,6 +23,7 @@ _NEW: Final = 4  # scenes drawn for each batch
 _LEAST: Final = 60  # pixels of an object that must be seen for it to be clicked
 _EVEN: Final = ((8, 8, 8), (8, 8, 8))  # levels between neighbouring pixels of an even ground
 _WIDE: Final = 0.2  # share of the photo, and of its border, that an even ground has
+_GONE: Final = 0.08  # share of the frames of videos in which the object is not to be seen any more
 _NEAR: Final = np.ones((5, 5), np.uint8)  # objects that come closer than 2 pixels touch
 
 
@@ -83,6 +84,9 @@ class Batches(IterableDataset[tuple[list[Sample], Tensor]]):
             samples: list[Sample] = []
             while len(samples) < BATCH:
                 sample = draw_sample(rng, _varied(rng, pool[rng.integers(len(pool))]))
+                if sample is not None and sample.kind == "video" and rng.random() < _GONE:
+                    elsewhere = pool[rng.integers(len(pool))].photo
+                    sample = replace(sample, photo=elsewhere, target=np.zeros(SHAPE, np.uint8))
                 samples += [] if sample is None else [sample]
             yield samples, torch.from_numpy(np.stack([sample.seen() for sample in samples]).astype(np.float16))
             batch += 1
@@ -184,6 +188,9 @@ def _moved(rng: Random, mask: Array) -> Array:
     moved, change = cv2.remap(mask, source[..., 0], source[..., 1], cv2.INTER_NEAREST), rng.random()
     if change < 0.4:
         moved = cv2.dilate(moved, np.ones((3, 3))) if change < 0.25 else cv2.erode(moved, np.ones((2, 2)))
+    if rng.random() < 0.15:  # all on one side of a line
+        direction, point = rng.standard_normal(2), np.argwhere(mask)[rng.integers(np.count_nonzero(mask)), ::-1]
+        moved[(grid[..., :2] - point) @ direction > 0] = 0
     for _ in range(rng.integers(0, 4) if rng.random() < 0.5 else 0):
         cv2.circle(moved, rng.integers((WIDTH, HEIGHT)).tolist(), int(rng.integers(5, 40)), 0, -1)
     return cv2.GaussianBlur(moved.astype(np.float32), (0, 0), rng.uniform(0.1, 1.2))

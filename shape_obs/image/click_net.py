@@ -1,12 +1,13 @@
 """A small network that turns clicks on a photo into the mask of what was clicked.
 
-It sees a photo whose longer side has about 450 pixels, the colours that were clicked, where, and the mask of the pass
+It sees a photo of about 150,000 pixels, the colours that were clicked, where, and the mask of the pass
 before. It was trained on drawings alone, by examples/click_net; click_net.md is its card.
 """
 
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 from importlib.resources import files
@@ -25,8 +26,8 @@ Pixel = tuple[float, float]
 CHANNELS: Final = 11
 #: Probability from which a pixel is the object's.
 HALF: Final = 0.5
-#: Pixels of the longer side of a photo as the network sees it.
-LONGEST: Final = 448
+#: Pixels of a photo as the network sees it.
+PIXELS: Final = 448 * 336
 _SIDES: Final = 16  # pixels: what the network sees has sides of a multiple of this, two times at least
 # Distances of colours in Lab at which their likeness falls to 1/e: strict, loose; to colours clicked away.
 _STRICT, _LOOSE, _AWAY = 8.0, 25.0, 10.0
@@ -115,12 +116,12 @@ class Photo:
 
     Args:
         rgb: ``(H, W, 3)`` uint8.
-        longest: Pixels of its longer side at most.
+        pixels: How many the network sees, about.
     """
 
-    def __init__(self, rgb: Image, longest: int = LONGEST) -> None:
+    def __init__(self, rgb: Image, pixels: int = PIXELS) -> None:
         height, width = rgb.shape[:2]
-        ratio = min(1.0, longest / max(height, width)) / _SIDES
+        ratio = min(1.0, math.sqrt(pixels / (height * width))) / _SIDES
         size = [max(round(side * ratio), 2) * _SIDES for side in (width, height)]
         self._size, self._scale = (width, height), np.array(size) / (width, height)
         self.rgb = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)  # (h, w, 3)
