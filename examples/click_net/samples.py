@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import count, islice
 from typing import Final
 
 import cv2
@@ -23,31 +24,21 @@ _NEW: Final = 4  # scenes drawn for each batch
 _LEAST: Final = 60  # pixels of an object that must be seen for it to be clicked
 _EVEN: Final = ((8, 8, 8), (8, 8, 8))  # levels between neighbouring pixels of an even ground
 _WIDE: Final = 0.2  # share of the photo, and of its border, that an even ground has
-_GONE: Final = 0.08  # share of the frames of videos in which the object is not to be seen any more
 _NEAR: Final = np.ones((5, 5), np.uint8)  # objects that come closer than 2 pixels touch
+_ALIKE: Final = 14.0  # distance of colours in Lab, squares of lightness at half weight, that are easily confused
 
 
 @dataclass
 class Sample:
-    """What the network sees and what it should answer.
+    """What the network sees and what it should answer."""
 
-    Args:
-        photo: ``(h, w, 3)`` uint8, RGB.
-        target: ``(h, w)`` uint8: 1 the object, 0 not, 2 of no account.
-        on: Clicks on the object.
-        off: Clicks off it.
-        previous: ``(h, w)``, 0...1, the pass or frame before, None in the first pass.
-        kind: "click", "video", "colour" or "ground", see ``draw_sample``.
-        thin: Whether the object is a rope or ring, not a sheet.
-    """
-
-    photo: Array
-    target: Array
-    on: Clicks
-    off: Clicks
-    previous: Array | None
-    kind: str
-    thin: bool
+    photo: Array  # (h, w, 3) uint8, RGB
+    target: Array  # (h, w) uint8: 1 the object, 0 not, 2 of no account
+    on: Clicks  # on the object
+    off: Clicks  # off it
+    previous: Array | None  # (h, w), 0...1, the pass or frame before; None in the first pass
+    kind: str  # "click", "video", "colour" or "ground", see ``draw_sample``
+    thin: bool  # a rope or ring, not a sheet
 
     def seen(self) -> Array:
         """Return the input of the network, ``(11, h, w)``."""
@@ -55,50 +46,44 @@ class Sample:
 
     def corrected(self, rng: Random, probability: Array) -> Sample:
         """Return the sample of the next pass, with a click on the largest error if there is one."""
-        found, on, off = probability > 0.5, self.on, self.off
+        found, more = probability > 0.5, replace(self, previous=probability)
         missed, extra = _largest((self.target == 1) & ~found), _largest((self.target == 0) & found)
         if missed.sum() > extra.sum():
-            on = _and_click(rng, on, self.photo, missed)
+            more.on = _and_click(rng, self.on, self.photo, missed)
         elif extra.any():
-            off = _and_click(rng, off, self.photo, extra)
-        return replace(self, on=on, off=off, previous=probability)
+            more.off = _and_click(rng, self.off, self.photo, extra)
+        return more
 
 
 class Batches(IterableDataset[tuple[list[Sample], Tensor]]):
     """Draw batches without end: samples, and what the network sees of them ``(BATCH, 11, h, w)`` float16.
 
-    Scene j of a seed is always the same, and batch k is drawn from the scenes ``_NEW`` k to ``_NEW`` k + ``_POOL``: a
-    training that is interrupted and resumed sees the same data as one that is not.
+    Scene j of a seed is always the same, and batch k is drawn from the ``_POOL`` scenes before scene ``_NEW`` (k + 1):
+    a training that is interrupted and resumed sees the same data as one that is not.
     """
 
-    def __init__(self, seed: int, first: int = 0) -> None:
+    def __init__(self, seed: int, first: int) -> None:
         self.seed, self.first = seed, first
 
     def __iter__(self) -> Iterator[tuple[list[Sample], Tensor]]:
-        batch, drawn = self.first, self.first * _NEW
         pool: deque[Scene] = deque(maxlen=_POOL)
-        while True:
-            for number in range(drawn, batch * _NEW + _POOL):
+        drawn = max(0, self.first * _NEW - _POOL)
+        for batch in count(self.first):
+            for number in range(drawn, (batch + 1) * _NEW):
                 pool.append(draw_scene(np.random.default_rng([self.seed, 0, number])))
-            drawn, rng = batch * _NEW + _POOL, np.random.default_rng([self.seed, 1, batch])
-            samples: list[Sample] = []
-            while len(samples) < BATCH:
-                sample = draw_sample(rng, _varied(rng, pool[rng.integers(len(pool))]))
-                if sample is not None and sample.kind == "video" and rng.random() < _GONE:
-                    elsewhere = pool[rng.integers(len(pool))].photo
-                    sample = replace(sample, photo=elsewhere, target=np.zeros(SHAPE, np.uint8))
-                samples += [] if sample is None else [sample]
+            drawn, rng = (batch + 1) * _NEW, np.random.default_rng([self.seed, 1, batch])
+            attempts = (draw_sample(rng, _varied(rng, pool[rng.integers(len(pool))])) for _ in count())
+            samples = list(islice((sample for sample in attempts if sample), BATCH))
             yield samples, torch.from_numpy(np.stack([sample.seen() for sample in samples]).astype(np.float16))
-            batch += 1
 
 
 def _varied(rng: Random, scene: Scene) -> Scene:
     """Mirror a scene, swap its colour channels and change its light."""
     x, y = rng.choice([-1, 1], 2)
-    photo, whole, top = (layer[::y, ::x] for layer in (scene.photo, scene.whole, scene.top))
-    photo = photo[..., rng.permutation(3)] if rng.random() < 0.5 else photo
-    photo = _relit(rng, photo, offset=rng.uniform(-15, 15)) if rng.random() < 0.5 else np.ascontiguousarray(photo)
-    return replace(scene, photo=photo, whole=np.ascontiguousarray(whole), top=top)
+    photo, whole, top = (np.ascontiguousarray(each[::y, ::x]) for each in (scene.photo, scene.whole, scene.top))
+    photo = np.ascontiguousarray(photo[..., rng.permutation(3)]) if rng.random() < 0.5 else photo
+    photo = _relit(rng, photo, offset=rng.uniform(-15, 15)) if rng.random() < 0.5 else photo
+    return Scene(photo, whole, top, scene.kinds)
 
 
 def _relit(rng: Random, photo: Array, offset: float = 0.0) -> Array:
@@ -123,29 +108,39 @@ def draw_sample(rng: Random, scene: Scene, kind: str | None = None) -> Sample | 
     choices = [index for index in range(len(scene.kinds)) if (scene.top == index + 1).sum() > _LEAST]
     if not choices:
         return None
-    index = int(rng.choice(choices))
-    mask, lab = scene.mask(index), as_lab(scene.photo)
+    index, lab = int(rng.choice(choices)), as_lab(scene.photo)
+    mask = scene.whole >> index & 1
     seen = mask * (scene.top == index + 1).astype(np.uint8)
     off = _places_off(rng, scene, mask) if kind == "click" or (kind == "video" and rng.random() < 0.3) else []
-    target, ambiguous = mask.copy(), kind == "click"  # in a video the frame before says which one it is
-    for other in scene.alike(index):
-        part = scene.mask(other)
-        ropes = scene.kinds[index] == scene.kinds[other] == "rope"  # separated afterwards, by following the clicked one
+    target = mask.copy()
+    for other in _alike(scene, lab, index):
+        part = scene.whole >> other & 1
+        # Which one is meant says, in a video, the frame before. Ropes are separated afterwards, by following one.
+        either = kind == "click" and not any(part[y, x] for x, y in off)
         if kind == "colour":
             target[part > 0] = 1
-        elif ambiguous and not any(part[y, x] for x, y in off) and (ropes or cv2.dilate(part, _NEAR)[mask > 0].any()):
+        elif either and (scene.kinds[index] == scene.kinds[other] == "rope" or cv2.dilate(part, _NEAR)[mask > 0].any()):
             target[(part > 0) & (mask == 0)] = 2
     crossing = seen * (np.bitwise_count(scene.whole) > 1)
     pixels = [_inside(rng, crossing if rng.random() < 0.2 and crossing.any() else seen)]
     pixels += [_inside(rng, seen) for _ in range(rng.integers(1, 3))] if rng.random() < 0.3 else []
+    previous = None
     if kind == "click":
         slip = rng.integers(-2, 3, 2) if rng.random() < 0.25 else (0, 0)  # not quite hit
-        on, previous = Clicks.at(lab, [(pixels[0][0] + slip[0], pixels[0][1] + slip[1]), *pixels[1:]]), None
+        on = Clicks.at(lab, [(pixels[0][0] + slip[0], pixels[0][1] + slip[1]), *pixels[1:]])
     else:
         places = _predicted(rng, seen) if kind == "video" else np.zeros((0, 2), np.float32)
         on = Clicks(places, Clicks.at(as_lab(_relit(rng, scene.photo)), pixels).colours)
         previous = _moved(rng, mask) if kind == "video" else None
     return Sample(scene.photo, target, on, Clicks.at(lab, off), previous, kind, scene.kinds[index] != "sheet")
+
+
+def _alike(scene: Scene, lab: Array, index: int) -> list[int]:
+    """Return the other objects of nearly the same mean colour."""
+    seen = {other: scene.top == other + 1 for other in range(len(scene.kinds))}
+    means = {other: lab[mask].mean(0) for other, mask in seen.items() if mask.any()}
+    distances = {other: (np.square(mean - means[index]) * [0.5, 1, 1]).sum() for other, mean in means.items()}
+    return [other for other, distance in distances.items() if distance < _ALIKE**2 and other != index]
 
 
 def _on_ground(rng: Random, scene: Scene) -> Sample | None:
@@ -156,8 +151,7 @@ def _on_ground(rng: Random, scene: Scene) -> Sample | None:
     pixel, even = _inside(rng, away), np.zeros((HEIGHT + 2, WIDTH + 2), np.uint8)
     cv2.floodFill(scene.photo.copy(), even, pixel, (0,), *_EVEN, flags=4 | (1 << 8) | cv2.FLOODFILL_MASK_ONLY)
     even = even[1:-1, 1:-1]
-    edge = np.concatenate([even[0], even[-1], even[:, 0], even[:, -1]])
-    if even.mean() < _WIDE or edge.mean() < _WIDE:
+    if min(even.mean(), np.concatenate([*even[[0, -1]], *even.T[[0, -1]]]).mean()) < _WIDE:
         return None
     on, off = Clicks.at(as_lab(scene.photo), [pixel]), Clicks()
     return Sample(scene.photo, np.zeros(SHAPE, np.uint8), on, off, None, "ground", False)
@@ -166,8 +160,8 @@ def _on_ground(rng: Random, scene: Scene) -> Sample | None:
 def _places_off(rng: Random, scene: Scene, mask: Array) -> list[tuple[int, int]]:
     """Draw no, one or two pixels off an object, on other objects or anywhere."""
     free = 1 - cv2.dilate(mask, _NEAR)
-    others, count = free * (scene.whole > 0).astype(np.uint8), rng.choice(3, p=[0.7, 0.18, 0.12])
-    areas = [others if rng.random() < 0.6 and others.any() else free for _ in range(count)]
+    others, number = free * (scene.whole > 0).astype(np.uint8), rng.choice(3, p=[0.7, 0.18, 0.12])
+    areas = [others if rng.random() < 0.6 and others.any() else free for _ in range(number)]
     return [_inside(rng, area) for area in areas if area.any()]
 
 
@@ -188,9 +182,6 @@ def _moved(rng: Random, mask: Array) -> Array:
     moved, change = cv2.remap(mask, source[..., 0], source[..., 1], cv2.INTER_NEAREST), rng.random()
     if change < 0.4:
         moved = cv2.dilate(moved, np.ones((3, 3))) if change < 0.25 else cv2.erode(moved, np.ones((2, 2)))
-    if rng.random() < 0.15:  # all on one side of a line
-        direction, point = rng.standard_normal(2), np.argwhere(mask)[rng.integers(np.count_nonzero(mask)), ::-1]
-        moved[(grid[..., :2] - point) @ direction > 0] = 0
     for _ in range(rng.integers(0, 4) if rng.random() < 0.5 else 0):
         cv2.circle(moved, rng.integers((WIDTH, HEIGHT)).tolist(), int(rng.integers(5, 40)), 0, -1)
     return cv2.GaussianBlur(moved.astype(np.float32), (0, 0), rng.uniform(0.1, 1.2))
