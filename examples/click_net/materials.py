@@ -46,21 +46,22 @@ def strand(rng: Random, base: Array, flat: bool = False) -> Strand:
     middle, wide = rng.uniform(-0.5, 0.5), rng.uniform(0.1, 0.35)
 
     def paint(arc: Array, across: Array, light: Array) -> Array:
-        groove, other = np.zeros_like(arc), np.zeros(len(arc), bool)
         bow = np.arcsin(across) * (2 / np.pi)  # the place on the round surface, -1...1
-        one, two = arc / period + slope * bow + phase, arc / period - slope * bow
-        if kind == "twist":
-            groove, other = np.abs(np.cos(np.pi * one)) ** 3, one % 3 < 1
-        elif kind == "braid":
-            groove = 1 - np.abs(np.sin(np.pi * one) * np.sin(np.pi * two))
-            other = (np.floor(one) + 2 * np.floor(two)) % 4 < 1
-        elif kind == "rings":  # of a corrugated tube
-            groove = np.cos(np.pi * arc / period) ** 2
-        elif kind == "pair":  # two wires side by side
-            groove = np.exp(-((across / 0.2) ** 2))
-        else:
-            marks = {"spiral": one / 4 % 1 < 0.4, "line": np.abs(across - middle) < wide, "halves": arc > change}
-            other = marks.get(kind, other)
+        one, two = arc / period + slope * bow + phase, arc / period - slope * bow  # windings to the right, to the left
+        grooves = {
+            "twist": np.abs(np.cos(np.pi * one)) ** 3,
+            "braid": 1 - np.abs(np.sin(np.pi * one) * np.sin(np.pi * two)),
+            "rings": np.cos(np.pi * arc / period) ** 2,  # of a corrugated tube
+            "pair": np.exp(-((across / 0.2) ** 2)),  # between two wires side by side
+        }
+        seconds = {  # where the second colour is
+            "twist": one % 3 < 1,
+            "braid": (np.floor(one) + 2 * np.floor(two)) % 4 < 1,
+            "spiral": one / 4 % 1 < 0.4,
+            "line": np.abs(across - middle) < wide,
+            "halves": arc > change,
+        }
+        groove, other = grooves.get(kind, np.zeros_like(arc)), seconds.get(kind, np.zeros(len(arc), bool))
         facing = across - 0.6 * light
         rounding = 1 if flat else np.sqrt(np.clip(1 - 0.6 * facing**2, 0, 1))
         shade = (ambient + (1 - ambient) * rounding - edge * across**4) * (1 - depth * groove)
@@ -79,20 +80,22 @@ def cloth(rng: Random, base: Array, shape: tuple[int, int], scale: float) -> Arr
     (cosine, sine), warp = direction(rng), noise(rng, shape, 0.6 * scale) * 0.02 * scale
     u, v = x * cosine + y * sine + warp, y * cosine - x * sine + warp
     period, part, fine = scale * rng.uniform(0.06, 0.5), rng.uniform(0.15, 0.6), 2 * np.pi / rng.uniform(2, 6)
-    in_u, in_v, share = u / period % 1, v / period % 1, np.zeros(shape, np.float32)  # of the second colour
+    in_u, in_v = u / period % 1, v / period % 1
     kind = rng.choice(["plain", "stripes", "checks", "dots", "figure", "word"], p=[0.55, 0.13, 0.13, 0.08, 0.06, 0.05])
+    share: Array = np.zeros(shape, np.float32)  # of the second colour
     if kind == "stripes":
-        share[in_u < part] = 1
+        share = in_u < part
     elif kind == "checks":
         share = (in_u < part) * np.float32(0.5) + (in_v < part) * np.float32(0.5)
     elif kind == "dots":
-        share[np.hypot(in_u - 0.5, in_v - 0.5) < 0.6 * part] = 1
+        share = np.hypot(in_u - 0.5, in_v - 0.5) < 0.6 * part
     elif kind == "figure":
-        share[noise(rng, shape, 0.15 * scale) > 0.6] = 1
+        share = noise(rng, shape, 0.15 * scale) > 0.6
     elif kind == "word":
-        word, ink = "".join(rng.choice(list("ABEKMNORSTXYZ0123"), rng.integers(2, 7))), np.zeros(shape, np.uint8)
+        word = "".join(rng.choice(list("ABEKMNORSTXYZ0123"), rng.integers(2, 7)))
         at = (int(shape[1] * rng.uniform(0.25, 0.5)), int(shape[0] * rng.uniform(0.35, 0.65)))
-        cv2.putText(ink, word, at, cv2.FONT_HERSHEY_DUPLEX, scale / 90, 255, max(1, int(scale / 40)), cv2.LINE_AA)
-        share = ink.astype(np.float32) / 255
-    picture = base + (second - base) * (share * rng.uniform(0.3, 1))[..., None]
+        ink, thick = np.zeros(shape, np.uint8), max(1, int(scale / 40))
+        cv2.putText(ink, word, at, cv2.FONT_HERSHEY_DUPLEX, scale / 90, 255, thick, cv2.LINE_AA)
+        share = ink / np.float32(255)
+    picture = base + (second - base) * (share * np.float32(rng.uniform(0.3, 1)))[..., None]
     return picture * (1 + max(0, rng.uniform(-0.1, 0.1)) * np.sin(u * fine) * np.sin(v * fine))[..., None]  # the weave

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-import onnx  # pyright: ignore[reportMissingImports]  # only this example needs it
+import onnx
 import torch
 from curves import HEIGHT, WIDTH
 from torch import Tensor, nn
@@ -89,15 +89,9 @@ def export(network: nn.Module, path: Path) -> None:
         network.eval(), (seen,), path, input_names=["x"], output_names=["y"], opset_version=_OPSET, dynamo=False
     )
     model = onnx.load(path)
-    casts = []  # weights are stored as float16, and cast when the file is read
-    for tensor in model.graph.initializer:
-        values = onnx.numpy_helper.to_array(tensor)
-        if tensor.data_type == onnx.TensorProto.FLOAT and values.size > _SMALL:
-            name, stored = tensor.name, f"{tensor.name}_half"
-            tensor.CopyFrom(onnx.numpy_helper.from_array(values.astype("float16"), stored))
-            casts.append(onnx.helper.make_node("Cast", [stored], [name], to=onnx.TensorProto.FLOAT))
-    nodes = [*casts, *model.graph.node]
-    del model.graph.node[:]
-    model.graph.node.extend(nodes)
-    onnx.checker.check_model(model, full_check=True)
+    for tensor in list(model.graph.initializer):  # weights are stored as float16, and cast when the file is read
+        weights, name, stored = onnx.numpy_helper.to_array(tensor), tensor.name, f"{tensor.name}_half"
+        if weights.dtype == "float32" and weights.size > _SMALL:
+            tensor.CopyFrom(onnx.numpy_helper.from_array(weights.astype("float16"), stored))
+            model.graph.node.insert(0, onnx.helper.make_node("Cast", [stored], [name], to=onnx.TensorProto.FLOAT))
     onnx.save(model, path)

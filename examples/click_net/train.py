@@ -2,18 +2,16 @@
 
     python train.py --minutes 120 --out FOLDER
 
-trains for two hours more, of processor time, and resumes an earlier training, also one that was killed:
-``FOLDER/checkpoint.pt`` is written every two minutes, ``FOLDER/click_net.onnx`` with each validation. Two cores are
-used, one of them to draw scenes.
+trains for two hours of processor time, on from the training in ``FOLDER`` if there is one. Every five minutes it is
+validated and written: ``FOLDER/checkpoint.pt``, ``FOLDER/click_net.onnx``. Two cores are used, one to draw scenes.
 Needs ``pip install torch scikit-image onnx``.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import count, islice
 from pathlib import Path
 from typing import Final
@@ -21,11 +19,11 @@ from typing import Final
 import cv2
 import numpy as np
 import torch
+import tyro
 from curves import Array, Random
 from network import ClickNet, export
 from samples import Batches, Sample, draw_sample
 from scene import draw_scene
-from skimage.morphology import skeletonize
 from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel
@@ -36,25 +34,17 @@ _TAIL: Final = 0.5  # last share of the planned time, in which the rate falls as
 _WARM: Final = 60  # steps over which the rate rises
 _AVERAGED: Final = 1000  # steps over which the weights are averaged
 _SECOND: Final = 0.35  # share of the steps that train the second pass
-_SAVE, _VALIDATE = 2.0, 10.0  # minutes between checkpoints, between validations
-_HELD_OUT: Final = (45, 120)  # seed and number of the samples of the validation, the same in all runs
+_SAVE: Final = 5.0  # minutes from one validation and checkpoint to the next
 
 
 @dataclass
 class Progress:
-    """How far a training is, in all runs.
+    """How far a training is, in all runs."""
 
-    Args:
-        seed: Seed of scenes and samples.
-        minutes: Processor time of this process, which a busy machine does not change.
-        step: Steps.
-        curve: Minutes, steps, and the per cent that were right after one click: all, ropes and rings, sheets.
-    """
-
-    seed: int
-    minutes: float = 0.0
+    seed: int  # of scenes and samples
+    minutes: float = 0.0  # processor time of this process, which a busy machine does not change
     step: int = 0
-    curve: list[list[float]] = field(default_factory=list)
+    curve: list[list[float]] = field(default_factory=list)  # minutes, steps, and what ``validate`` returned
 
     def rate(self, total: float) -> float:
         """Return the learning rate for ``total`` planned minutes: constant, then a cosine down to a thousandth."""
@@ -88,50 +78,49 @@ def probability_of(network: nn.Module, seen: Tensor) -> Array:
 
 def second_pass(network: nn.Module, rng: Random, samples: list[Sample], seen: Tensor) -> Tensor:
     """Return what the network sees in the pass after the first: its own answer, and mostly a click that corrects it."""
-    answer, again = probability_of(network, seen), seen.clone()
-    for i, sample in enumerate(samples):
-        if sample.kind == "click" and rng.random() < 0.7:
-            again[i] = torch.from_numpy(sample.corrected(rng, answer[i]).seen())
-        elif sample.kind == "click":
-            again[i, -1] = torch.from_numpy(answer[i])
+    again = seen.clone()
+    for i, (sample, answer) in enumerate(zip(samples, probability_of(network, seen), strict=True)):
+        if sample.kind == "click":
+            after = sample.corrected(rng, answer) if rng.random() < 0.7 else replace(sample, previous=answer)
+            again[i] = torch.from_numpy(after.seen())
     return again
 
 
-def held_out_samples() -> list[Sample]:
-    """Return the samples of the validation: one click on an object."""
-    rngs = (np.random.default_rng([_HELD_OUT[0], 2, number]) for number in count())
+def held_out(number: int) -> list[Sample]:
+    """Return samples for the validation, the same in all runs: one click on an object."""
+    rngs = (np.random.default_rng([45, 2, k]) for k in count())
     drawn = (draw_sample(rng, draw_scene(rng), "click") for rng in rngs)
-    return list(islice((s for s in drawn if s and len(s.on.places) == 1 and not len(s.off.places)), _HELD_OUT[1]))
-
-
-def is_right(sample: Sample, probability: Array) -> bool:
-    """Return whether an answer is right: IoU of 0.85 for a sheet.
-
-    Of a rope or ring, 90 % of the middle line lie within 2 pixels of the mask, 90 % of the mask within 3 of the object.
-    """
-    truth, found = sample.target == 1, (probability > 0.5) & (sample.target < 2)
-    if not sample.thin or not found.any():
-        return bool((truth & found).sum() >= 0.85 * (truth | found).sum())
-    to_found, to_truth = (cv2.distanceTransform(1 - mask.astype(np.uint8), cv2.DIST_L2, 5) for mask in (found, truth))
-    return bool((to_found[skeletonize(truth)] <= 2).mean() >= 0.9 and (to_truth[found] <= 3).mean() >= 0.9)
+    return list(islice((s for s in drawn if s and len(s.on.places) == 1 and not len(s.off.places)), number))
 
 
 def validate(network: nn.Module, samples: list[Sample]) -> list[float]:
-    """Return the per cent that are right after one click and two passes: all, ropes and rings, sheets."""
-    right, thin = np.zeros(len(samples), bool), np.array([sample.thin for sample in samples])
+    """Return the mean IoU after one click and two passes, in per cent: of all, of ropes and rings, of sheets."""
+    overlaps, thin = np.zeros(len(samples)), np.array([sample.thin for sample in samples])
     for i, sample in enumerate(samples):
-        seen = torch.from_numpy(sample.seen())[None]
-        seen[0, -1] = torch.from_numpy(probability_of(network, seen)[0])
-        right[i] = is_right(sample, probability_of(network, seen)[0])
-    return [100 * float(right[group].mean()) for group in (thin | ~thin, thin, ~thin)]
+        for _ in range(2):
+            seen = torch.from_numpy(sample.seen())[None]
+            sample = replace(sample, previous=probability_of(network, seen)[0])
+        truth, found = sample.target == 1, (np.asarray(sample.previous) > 0.5) & (sample.target < 2)
+        overlaps[i] = 100 * (truth & found).sum() / (truth | found).sum()
+    return [float(overlaps[group].mean()) for group in (thin | ~thin, thin, ~thin)]
 
 
 def _moving_mean(mean: Tensor, new: Tensor, count: Tensor | int) -> Tensor:
     return mean + (new - mean) / min(int(count) + 1, _AVERAGED)  # a plain mean in the first steps
 
 
-def train(minutes: float, out: Path, total: float, seed: int) -> None:
-    """Train for some minutes more, and write the network."""
+def train(
+    minutes: float, out: Path = Path("click_net"), total_minutes: float = 240, seed: int = 0, validation: int = 120
+) -> None:
+    """Train for some minutes more, and write the network.
+
+    Args:
+        minutes: Processor time of this run.
+        out: Folder of the checkpoint and the network.
+        total_minutes: Time planned for all runs.
+        seed: Seed of a new training.
+        validation: Number of samples of the validation.
+    """
     torch.set_num_threads(1)
     cv2.setNumThreads(1)  # before the process that draws is forked: threads of OpenCV do not survive that
     torch.manual_seed(seed)
@@ -146,20 +135,17 @@ def train(minutes: float, out: Path, total: float, seed: int) -> None:
         for name, state in states.items():
             state.load_state_dict(stored[name])
     print(f"{progress.minutes:.0f} minutes and {progress.step} steps so far", flush=True)
-    held_out, losses = held_out_samples(), []
-    batches = iter(DataLoader(Batches(progress.seed, progress.step), batch_size=None, num_workers=1, prefetch_factor=8))
-    samples, seen = next(batches)
-    begun, started = progress.minutes, time.process_time()
-    saved, validated, ended = begun, begun, begun + minutes
-    while progress.minutes < ended:
+    ended, saved, losses = progress.minutes + minutes, progress.minutes, []
+    tests, start = held_out(validation), progress.minutes - time.process_time() / 60
+    batches = Batches(progress.seed, progress.step)
+    for samples, half in DataLoader(batches, batch_size=None, num_workers=1, prefetch_factor=8):
         rng = np.random.default_rng([progress.seed, 3, progress.step])
-        target, seen = torch.from_numpy(np.stack([sample.target for sample in samples]))[:, None], seen.float()
+        target, seen = torch.from_numpy(np.stack([sample.target for sample in samples]))[:, None], half.float()
         if rng.random() < _SECOND:
             seen = second_pass(network, rng, samples, seen)
         if rng.random() < 0.5:  # upright photos
             seen, target = seen.transpose(2, 3), target.transpose(2, 3)
-        for group in optimiser.param_groups:
-            group["lr"] = progress.rate(total)
+        optimiser.param_groups[0]["lr"] = progress.rate(total_minutes)
         loss = loss_of(logits_of(network.train(), seen), target)
         optimiser.zero_grad()
         loss.backward()
@@ -167,30 +153,20 @@ def train(minutes: float, out: Path, total: float, seed: int) -> None:
         optimiser.step()
         average.update_parameters(network)
         losses.append(loss.item())
-        progress.step, progress.minutes = progress.step + 1, begun + (time.process_time() - started) / 60
-        if len(losses) % 100 == 0:
-            pace = 60e3 * (progress.minutes - begun) / len(losses)
-            print(f"{progress.minutes:.1f} min, {progress.step} steps: loss {np.mean(losses[-100:]):.3f}", end=", ")
-            print(f"{pace:.0f} ms of processor time a step", flush=True)
-        if progress.minutes - validated > _VALIDATE or progress.minutes >= ended:
-            validated = progress.minutes
-            progress.curve.append([progress.minutes, progress.step, *validate(average, held_out)])
-            report = "{:.0f} min, {} steps: right {:.0f} %, thin {:.0f} %, sheets {:.0f} %"
-            print(report.format(*progress.curve[-1]), flush=True)
-            export(average.module, out / "click_net.onnx")
-        if progress.minutes - saved > _SAVE or progress.minutes >= ended:
-            saved = progress.minutes
-            content = {name: state.state_dict() for name, state in states.items()} | {"progress": asdict(progress)}
-            torch.save(content, out / "checkpoint.new")
-            os.replace(out / "checkpoint.new", file)  # at once: a training that is killed leaves the old one or the new
-        samples, seen = next(batches)
+        progress.step, progress.minutes = progress.step + 1, start + time.process_time() / 60
+        if progress.minutes < min(saved + _SAVE, ended):
+            continue
+        progress.curve.append([progress.minutes, progress.step, *validate(average, tests)])
+        report = "{:.0f} min, {} steps: IoU {:.0f} %, thin {:.0f} %, sheets {:.0f} %; loss {:.3f}"
+        print(report.format(*progress.curve[-1], np.mean(losses)), flush=True)
+        export(average.module, out / "click_net.onnx")
+        content = {name: state.state_dict() for name, state in states.items()} | {"progress": asdict(progress)}
+        torch.save(content, out / "checkpoint.new")
+        os.replace(out / "checkpoint.new", file)  # at once: a training that is killed leaves the old one or the new
+        if progress.minutes >= ended:
+            break
+        saved, losses = progress.minutes, []
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--minutes", type=float, required=True, help="processor time of this run")
-    parser.add_argument("--out", type=Path, default=Path("click_net"), help="folder of the checkpoint and the network")
-    parser.add_argument("--total-minutes", type=float, default=240, help="time planned for all runs")
-    parser.add_argument("--seed", type=int, default=0, help="seed of a new training")
-    arguments = parser.parse_args()
-    train(arguments.minutes, arguments.out, arguments.total_minutes, arguments.seed)
+    tyro.cli(train)
