@@ -121,7 +121,7 @@ def draw_sample(rng: Random, scene: Scene, kind: str | None = None) -> Sample | 
             target[part > 0] = 1
         elif either and (scene.kinds[index] == scene.kinds[other] == "rope" or cv2.dilate(part, _NEAR)[mask > 0].any()):
             target[(part > 0) & (mask == 0)] = 2
-    crossing = seen * (np.bitwise_count(scene.whole) > 1)
+    crossing = seen * (scene.whole & (scene.whole - np.uint8(1)) > 0)  # more than one bit
     pixels = [_inside(rng, crossing if rng.random() < 0.2 and crossing.any() else seen)]
     pixels += [_inside(rng, seen) for _ in range(rng.integers(1, 3))] if rng.random() < 0.3 else []
     previous = None

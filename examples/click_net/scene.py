@@ -125,25 +125,16 @@ def draw_scene(rng: Random) -> Scene:
         outline(rng) if kind == "sheet" else ring(rng) if kind == "ring" else rope(rng, own)
         for kind, own in zip(kinds, widths, strict=True)
     ]
-    under, shadow = ground(rng), np.zeros(SHAPE, np.uint8)
-    offset = rng.normal(0, 1, 2) * rng.uniform(0.1, 1.5) * max(3.0, width / 2)
+    canvas = _Canvas(ground(rng), rng.uniform(0, 1) * np.array(direction(rng)))
     bases: list[Array] = []
-    for kind, own, shape in zip(kinds, widths, shapes, strict=True):
-        bases.append(_base(rng, bases, under))
+    for label, (kind, own, shape) in enumerate(zip(kinds, widths, shapes, strict=True), 1):
+        bases.append(_base(rng, bases, canvas.image))
         if kind == "sheet":
-            cv2.fillPoly(shadow, [(shape + offset / 2).astype(np.int32)], 255)
+            _add_sheet(rng, canvas, shape, bases[-1], label)
         else:
-            _stroke(shadow, shape[::3] + offset, own)
-    shadow = cv2.GaussianBlur(shadow, (0, 0), rng.uniform(0.6, 4) * max(1, width / 6))
-    under = under * (1 - shadow * np.float32(max(0, rng.uniform(-0.2, 0.65)) / 255))[..., None]
-    canvas = _Canvas(under, rng.uniform(0, 1) * np.array(direction(rng)))
-    for label, (kind, own, shape, base) in enumerate(zip(kinds, widths, shapes, bases, strict=True), 1):
-        if kind == "sheet":
-            _add_sheet(rng, canvas, shape, base, label)
-        else:
-            _add_thin(rng, canvas, shape, own, base, label, kind == "ring")
+            _add_thin(rng, canvas, shape, own, bases[-1], label, kind == "ring")
     for _ in range(rng.integers(1, 3) if rng.random() < 0.3 else 0):
-        _add_obstacle(rng, canvas, shapes[rng.integers(count)], width)
+        _add_obstacle(rng, canvas, shapes[rng.integers(count)])
     for _, draw in sorted(canvas.jobs, key=lambda job: job[0]):
         draw()
     return _finished(rng, canvas, kinds)
@@ -155,7 +146,7 @@ def _base(rng: Random, bases: list[Array], under: Array) -> Array:
     if bases and kind < 0.42:
         like = bases[rng.integers(len(bases))] + rng.normal(0, rng.choice([0, 6, 15]), 3)
     elif kind < 0.54:
-        like = under[rng.integers(HEIGHT), rng.integers(WIDTH)] * rng.uniform(0.5, 1.5) + rng.normal(0, 20, 3)
+        like = under[tuple(rng.integers(under.shape[:2]))] * rng.uniform(0.5, 1.5) + rng.normal(0, 20, 3)
     return np.clip(like, 0, 255).astype(np.float32)
 
 
@@ -184,7 +175,8 @@ def _add_thin(rng: Random, canvas: _Canvas, curve: Array, width: float, base: Ar
     thin = _Thin(label, points, widths, strand(rng, base, flat), blunt=closed)
     cuts = np.unique([0, *rng.integers(0, len(points), max(0, rng.integers(-1, 6))), len(points) - 1]).tolist()
     level, mixed = (label - 1) * 0.4 * (rng.random() < 0.5), 1 if rng.random() < 0.7 else 0.01
-    shadow = rng.normal(0, 0.25, 2) * width, rng.uniform(1, 5), max(0, rng.uniform(-0.5, 0.7))
+    height = rng.choice([0.25, 0.25, 1])  # over the ground: far shadows are soft
+    shadow = rng.normal(0, height, 2) * width, rng.uniform(1, 5) * 4 * height, max(0, rng.uniform(-0.5, 0.7))
     for start, stop in pairwise(cuts):
         canvas.plan(level + rng.random() * mixed, thin.lay, canvas, start, stop, *shadow)
     for end in (points, points[::-1]) if not closed and rng.random() < 0.3 else ():  # plugs, ferrules, bare metal
@@ -235,26 +227,20 @@ def _folded(rng: Random, paint: Array, mask: Array, edge: Array) -> tuple[Array,
     return picture, np.where(beyond > 0, flap, np.maximum(mask, flap))
 
 
-def _add_obstacle(rng: Random, canvas: _Canvas, near: Array, width: float) -> None:
-    """Plan the drawing of a hand, a gripper or a clip at a point of an object, of thick strokes."""
-    at, (cosine, sine), kind = near[rng.integers(len(near))] + rng.normal(0, 6, 2), direction(rng), rng.random()
-    ahead, across, size = np.array([cosine, sine]), np.array([-sine, cosine]), rng.uniform(14, 30)
-    paint = brown(rng) if rng.random() < 0.4 else colour(rng)
-    if kind < 0.4:  # a hand: arm, palm, thumb, fingers
-        wrist = at - 2.5 * size * ahead
-        strokes = [(wrist - 400 * ahead, wrist, 1.6 * size), (wrist, wrist + 0.3 * size * ahead, 2 * size)]
-        strokes += [(wrist + size * (ahead + across), at, size / 2)]
-        for spread in np.linspace(-0.75, 0.75, 4) + rng.normal(0, 0.1, 4):
-            knuckle = wrist + size * (0.9 * ahead + spread * across)
-            tip = knuckle + size * (rng.uniform(0.7, 2) * ahead + 0.3 * spread * across)
+def _add_obstacle(rng: Random, canvas: _Canvas, near: Array) -> None:
+    """Plan the drawing of a hand, a gripper or a tool at a point of an object, of thick strokes."""
+    at, (cosine, sine), size = near[rng.integers(len(near))] + rng.normal(0, 6, 2), direction(rng), rng.uniform(14, 30)
+    ahead, across = size * np.array([cosine, sine]), size * np.array([-sine, cosine])
+    paint, fingers = brown(rng) if rng.random() < 0.4 else colour(rng), rng.choice([0, 2, 5], p=[0.3, 0.3, 0.4])
+    if fingers:
+        wrist = at - 2.5 * ahead
+        strokes = [(wrist - 30 * ahead, wrist, 1.6 * size), (wrist, wrist + 0.3 * ahead, 2 * size)]
+        for spread in np.linspace(-1, 1, fingers) * rng.uniform(0.3, 1) + rng.normal(0, 0.1, fingers):
+            knuckle = wrist + 0.9 * ahead + spread * across
+            tip = knuckle + rng.uniform(0.7, 2) * ahead + 0.3 * spread * across
             strokes.append((knuckle, tip, size * rng.uniform(0.36, 0.5)))
-    elif kind < 0.65:  # a gripper: its body and two fingers
-        gap, thick, body = rng.uniform(0.4, 1.5) * width + 3, rng.uniform(5, 16), at - rng.uniform(35, 60) * ahead
-        strokes = [(body - 400 * ahead, body, gap + thick * rng.uniform(2, 4))]
-        for away in (across * (gap + thick) / 2, -across * (gap + thick) / 2):
-            strokes.append((body + away, at + away + rng.uniform(2, 10) * ahead, thick))
-    else:  # a clip, a tool
-        strokes = [(at, at + ahead * rng.exponential(15), rng.uniform(0.8, 2.5) * width + 4)]
+    else:
+        strokes = [(at, at + ahead * rng.exponential(0.7), rng.uniform(4, 40))]
     below, over = np.zeros((2, *SHAPE), np.uint8)
     rounding = rng.uniform(2, 12)
     for start, end, thick in strokes:

@@ -8,8 +8,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import gymnasium_gl
+import numpy as np
 import pytest
+
+from shape_obs.image.click_net import CHANNELS
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 EXPECTED = {
@@ -75,6 +79,32 @@ def test_example_runs(name, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert EXPECTED[name] in done.stdout
+
+
+@pytest.mark.nightly
+def test_the_training_of_the_click_network_stops_and_goes_on(tmp_path):
+    torch = pytest.importorskip("torch")
+    for library in ("onnx", "skimage"):
+        pytest.importorskip(library)
+    training = EXAMPLES / "click_net" / "train.py"
+    command = [sys.executable, training, "--minutes", "0.03", "--validation", "2", "--out", tmp_path]
+    progress, printed = [], []
+    for _ in range(2):
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+        assert done.returncode == 0, done.stderr
+        printed.append(done.stdout)
+        progress.append(torch.load(tmp_path / "checkpoint.pt", weights_only=True)["progress"])
+    first, second = (each["step"] for each in progress)
+    assert 0 < first < second
+    assert f"{first} steps so far" in printed[1]
+    assert [row[1] for row in progress[1]["curve"]] == [first, second]
+
+    network = cv2.dnn.readNetFromONNX(str(tmp_path / "click_net.onnx"))
+    for size in ((240, 320), (448, 336)):
+        network.setInput(np.random.default_rng(0).random((1, CHANNELS, *size), np.float32))
+        logits = network.forward()
+        assert logits.shape == (1, 1, *size)
+        assert np.isfinite(logits).all()
 
 
 ROOT = Path(__file__).parents[2]
