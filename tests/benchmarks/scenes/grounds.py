@@ -36,10 +36,14 @@ def ground(rng: np.random.Generator, name: str, size: Size) -> Field:
     return np.asarray(cv2.warpPerspective(picture, lean, (width, height)), np.float32)
 
 
-def _one_of(rng: np.random.Generator, colours: str) -> Field:
-    """Return one of some sRGB colours, ``"d0a070 ffffff"``, a little off, as linear reflectance."""
+def one_of(rng: np.random.Generator, colours: str) -> Field:
+    """Return the linear reflectance of one of some sRGB colours: ``"d0a070 ffffff"``."""
     some = colours.split()
-    return linear(some[int(rng.integers(len(some)))]) * np.exp(rng.normal(0, (0.06, 0.03, 0.06))).astype(np.float32)
+    return linear(some[int(rng.integers(len(some)))])
+
+
+def _one_of(rng: np.random.Generator, colours: str) -> Field:
+    return one_of(rng, colours) * np.exp(rng.normal(0, (0.06, 0.03, 0.06))).astype(np.float32)
 
 
 def _rough(rng: np.random.Generator, size: Size, *sizes: float) -> Field:
@@ -48,7 +52,7 @@ def _rough(rng: np.random.Generator, size: Size, *sizes: float) -> Field:
     return np.asarray(total / np.sqrt(len(sizes)), np.float32)
 
 
-def _raster(rng: np.random.Generator, size: Size, turn: float) -> tuple[Field, Field]:
+def raster(rng: np.random.Generator, size: Size, turn: float) -> tuple[Field, Field]:
     """Return coordinates u and v, ``(H, W)``, turned by at most ``turn`` radians."""
     v, u = np.mgrid[: size[0], : size[1]].astype(np.float32)
     angle = rng.uniform(-turn, turn)
@@ -73,7 +77,7 @@ def _spots(rng: np.random.Generator, picture: Picture, count: int, reach: tuple[
 
 
 def _wood(rng: np.random.Generator, size: Size) -> Picture:
-    u, v = _raster(rng, size, 0.5 if rng.random() < 0.7 else 1.6)
+    u, v = raster(rng, size, 0.5 if rng.random() < 0.7 else 1.6)
     pale, deep = _one_of(rng, "d9b98c c89f6b b98a58 8a5f3c e3cfae 6b4a32"), rng.uniform(0.45, 0.75)
     away = v / rng.uniform(14, 40) + 0.6 * grain(rng, size, (500, 120))[..., 0]
     knots = np.zeros(size, np.float32)
@@ -121,19 +125,19 @@ def _concrete(rng: np.random.Generator, size: Size) -> Picture:
 
 def _pegboard(rng: np.random.Generator, size: Size) -> Picture:
     """Draw a board with round holes: hardboard, or the aluminium plate of a laboratory."""
-    u, v = _raster(rng, size, 0.3)
+    u, v = raster(rng, size, 0.3)
     metal = rng.random() < 0.5
     shade = 0.05 * grain(rng, size, (240, 1)) if metal else 0.06 * _rough(rng, size, 90, 4)
     board = _one_of(rng, "b9bcc0 9b9ea3 6f7276" if metal else "9a7650 c2a77e ece8e0 83603f") * np.exp(shade)
     pitch, hole = rng.uniform(60, 130), rng.uniform(6, 14)
-    du, dv = ((u / pitch) % 1 - 0.5) * pitch, ((v / pitch) % 1 - 0.5) * pitch
+    du, dv = (((each / pitch) % 1 - 0.5) * pitch for each in (u, v))
     inside = np.clip(hole + 0.5 - np.hypot(du, dv), 0, 1)[..., None]
     rim = np.clip(2.5 - np.abs(np.hypot(du, dv - 1) - hole - 1), 0, 1)[..., None] * 0.5
     return board * (1 + rim) * (1 - 0.93 * inside)
 
 
 def _breadboard(rng: np.random.Generator, size: Size) -> Picture:
-    u, v = _raster(rng, size, 1.6)
+    u, v = raster(rng, size, 1.6)
     pitch = rng.uniform(22, 40)
     row = np.floor(v / pitch) % 14
     du, dv = np.abs((u / pitch) % 1 - 0.5) * pitch, np.abs((v / pitch) % 1 - 0.5) * pitch
@@ -146,7 +150,7 @@ def _breadboard(rng: np.random.Generator, size: Size) -> Picture:
 
 
 def _mat(rng: np.random.Generator, size: Size) -> Picture:
-    u, v = _raster(rng, size, 0.6)
+    u, v = raster(rng, size, 0.6)
     mat = _one_of(rng, "2f6b52 2d5d6e 3b3f45 27415f 6a6f73 1f5a48") * np.exp(0.05 * _rough(rng, size, 120, 5, 2))
     ink, pitch = _one_of(rng, "d8d890 e8e8e8 c8d8d0"), rng.uniform(44, 90)
     for step, wide, strong in ((1.0, 1.4, 0.35), (5.0, 3.0, 0.6)):
@@ -157,13 +161,12 @@ def _mat(rng: np.random.Generator, size: Size) -> Picture:
 
 
 def _cloth(rng: np.random.Generator, size: Size) -> Picture:
-    u, v = _raster(rng, size, 1.6)
+    u, v = raster(rng, size, 1.6)
     u, v = u + 4 * grain(rng, size, (150, 150))[..., 0], v + 4 * grain(rng, size, (150, 150))[..., 0]
     base = _one_of(rng, "c9c0b2 5d6b80 8a4f4a 404348 d9d4c9 6f7a5c b08d6a 2e3950 9a9aa2")
     thread = rng.uniform(4, 10)
-    over = np.where((np.floor(u / thread) + np.floor(v / thread)) % 2 > 0, np.sin(np.pi * u / thread), 0)
-    under = np.where((np.floor(u / thread) + np.floor(v / thread)) % 2 > 0, 0, np.sin(np.pi * v / thread))
-    relief = rng.uniform(0.1, 0.3) * (np.abs(over + under) - 0.5)[..., None]
+    along_u = (np.floor(u / thread) + np.floor(v / thread)) % 2 > 0  # the thread on top
+    relief = rng.uniform(0.1, 0.3) * (np.abs(np.sin(np.pi * np.where(along_u, u, v) / thread)) - 0.5)[..., None]
     picture = base * np.exp(relief + rng.uniform(0.03, 0.18) * grain(rng, size, (240, 130)))
     if rng.random() < 0.35:  # plaid
         other, pitch = _one_of(rng, "e8e4da 2a2d38 7a3038 34506e c8a860"), rng.uniform(90, 260)
@@ -195,7 +198,7 @@ def _carpet(rng: np.random.Generator, size: Size) -> Picture:
 
 def _floor(rng: np.random.Generator, size: Size) -> Picture:
     """Draw tiles or vinyl with the strong light of a window at one side."""
-    u, v = _raster(rng, size, 1.6)
+    u, v = raster(rng, size, 1.6)
     pitch = rng.uniform(180, 520)
     tile = rng.normal(0, 0.08, (64, 64))[(u // pitch).astype(int) % 64, (v // pitch).astype(int) % 64][..., None]
     picture = _one_of(rng, "b8a890 8f8a84 cfc7ba 6d6a68 a98d70") * np.exp(tile + 0.07 * _rough(rng, size, 160, 30, 4))

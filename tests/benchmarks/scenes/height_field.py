@@ -19,6 +19,7 @@ Field = npt.NDArray[np.float32]
 Image = npt.NDArray[np.uint8]
 Size = tuple[int, int]
 FINER: Final = 2  # supersampling in each direction
+SQUARE: Final = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 _FAR: Final = 1e4  # pixels from the camera to the table, so that nothing grows with its height
 _PIECE: Final = 0.1  # widths from one ball of a rope to the next
 _AMBIENT, _DIFFUSE, _SHINE = 0.35, 0.65, 0.25
@@ -74,6 +75,11 @@ class HeightField:
 def unit(vector: Array) -> Array:
     """Return a vector of the same direction and of length 1."""
     return vector / np.linalg.norm(vector)
+
+
+def axes(angle: float) -> Array:
+    """Return the unit vectors along an angle and across it, ``(2, 2)``."""
+    return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
 
 def photographed(

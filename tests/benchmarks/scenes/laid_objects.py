@@ -14,10 +14,13 @@ import numpy.typing as npt
 
 from shape_obs.bench.scenes import resample
 from shape_obs.compiled import compiled
+from tests.benchmarks.scenes.grounds import raster
 from tests.benchmarks.scenes.height_field import FINER, Array, Field, Size, grain
 
 Make = Literal["smooth", "twisted", "braided", "ribbed", "marked", "flat"]
 Print = Literal["plain", "stripes", "checks", "motif", "heather", "text"]
+Owner = npt.NDArray[np.int8]
+Bits = npt.NDArray[np.int32]
 THING: Final = 100  # owner of all that is no object: hands, tools, boxes
 SLEEVE: Final = 50  # plus the object's number: owner of its heat-shrink tubes and taped ends
 _JUST_LAID: Final = 127
@@ -117,22 +120,18 @@ class Pile:
         return slice(first[1], last[1]), slice(first[0], last[0])
 
     def _lay(self, sheet: Sheet, owner: int) -> None:
-        parts = [(sheet.outline, sheet.thick, 1.0)]
-        if sheet.flap is not None:
-            parts.append((sheet.flap, 2 * sheet.thick, 0.82))
-        low, high = sheet.outline.min(axis=0) * FINER, sheet.outline.max(axis=0) * FINER
-        box = self._box(low, high)
+        flap = [] if sheet.flap is None else [(sheet.flap, 2 * sheet.thick, 0.82)]
+        box = self._box(sheet.outline.min(axis=0) * FINER, sheet.outline.max(axis=0) * FINER)
         height, width = self.height[box].shape
         if not height * width:
             return
         origin = np.array([box[1].start, box[0].start])
         start = np.floor(sheet.rest.min(axis=0) * FINER)
         moved, _ = cv2.estimateAffine2D(sheet.rest * FINER - start, sheet.outline * FINER - origin)
-        albedo, relief = _sheet_surface(sheet.look, sheet.rest * FINER - start)
-        albedo = cv2.warpAffine(albedo, moved, (width, height), borderMode=cv2.BORDER_REFLECT)
-        relief = cv2.warpAffine(relief, moved, (width, height), borderMode=cv2.BORDER_REFLECT)
+        surface = _sheet_surface(sheet.look, sheet.rest * FINER - start)
+        albedo, relief = (cv2.warpAffine(e, moved, (width, height), borderMode=cv2.BORDER_REFLECT) for e in surface)
         relief *= np.float32(sheet.look.wrinkles)
-        for outline, thick, back in parts:
+        for outline, thick, back in [(sheet.outline, sheet.thick, 1.0), *flap]:
             shape = np.zeros((height, width), np.uint8)
             cv2.fillPoly(shape, [np.round((outline * FINER - origin) * 16).astype(np.int32)], (1,), shift=4)
             inside = np.asarray(cv2.distanceTransform(np.pad(shape, 1), cv2.DIST_L2, 3))[1:-1, 1:-1]
@@ -156,9 +155,9 @@ def _swept(
     owner: int,
     bit: int,
     height: Field,
-    owners: npt.NDArray[np.int8],
+    owners: Owner,
     where: Field,
-    covered: npt.NDArray[np.int32],
+    covered: Bits,
 ) -> None:
     """Sweep a round or flat section along an axis (u, v, lift); the higher surface stays."""
     rows, columns = height.shape
@@ -184,11 +183,7 @@ def _swept(
 def _strand_surface(look: Look, along: Array | Field, across: Field, width: float) -> tuple[Field, Field]:
     """Return the reflectance ``(K, 3)`` and the tilt along a strand ``(K,)`` at places on it.
 
-    Args:
-        look: How it looks.
-        along: ``(K,)`` pixels from its begin.
-        across: ``(K,)`` -1 to 1.
-        width: Pixels.
+    The places are ``along``, pixels from its begin, and ``across``, -1 to 1; the width is in pixels.
     """
     rng, around = np.random.default_rng(look.seed), np.arcsin(np.clip(across, -1, 1)) / np.pi  # half turns
     dark, tilt, mix = np.ones_like(along), np.zeros_like(along), np.zeros_like(along)
@@ -213,10 +208,7 @@ def _sheet_surface(look: Look, outline: Array) -> tuple[Field, Field]:
     """Return the reflectance ``(h, w, 3)`` of the box around a sheet, and its relief ``(h, w)`` for a slope of 1."""
     rng, high = np.random.default_rng(look.seed), outline.max(axis=0)
     size = int(high[1]) + 1, int(high[0]) + 1
-    v, u = np.mgrid[: size[0], : size[1]].astype(np.float32)
-    turn = rng.uniform(-0.5, 0.5)
-    cos, sin = np.float32(np.cos(turn)), np.float32(np.sin(turn))
-    a, b = u * cos + v * sin, v * cos - u * sin
+    a, b = raster(rng, size, 0.5)
     mix = np.zeros(size, np.float32)
     if look.pattern in ("stripes", "checks"):
         pitch, share = rng.uniform(20, 90), rng.uniform(0.25, 0.6)

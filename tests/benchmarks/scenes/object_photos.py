@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.bench.scenes import SIZE
-from tests.benchmarks.scenes.grounds import GROUNDS, ground, linear
-from tests.benchmarks.scenes.height_field import FINER, Array, Field, Image, unit
+from tests.benchmarks.scenes.grounds import GROUNDS, ground, one_of
+from tests.benchmarks.scenes.height_field import FINER, SQUARE, Array, Field, Image, axes, unit
 from tests.benchmarks.scenes.laid_objects import SLEEVE, THING, Look, Make, Pile, Print, Sheet, Strand
 from tests.benchmarks.scenes.room_camera import Camera, Light
 from tests.benchmarks.scenes.things import bent, clutter, gripper, hand, moved
@@ -213,12 +213,11 @@ def _setting(rng: np.random.Generator, kind: Kind, name: str) -> Setting:
         away = float(np.arctan2(*(np.array(SIZE[::-1]) / 2 - at)[::-1])) + rng.normal(0, 0.4)
         above += hand(rng, at, away) if rng.random() < 0.6 else gripper(rng, at, away)
     light = Light.drawn(rng)
-    return Setting(field, tuple(objects), kinds, tuple(below), tuple(above), light, Camera.drawn(rng, field))
+    return Setting(field, tuple(objects), kinds, tuple(below), tuple(above), light, Camera(rng, field))
 
 
 def _colour(rng: np.random.Generator, colours: str) -> Field:
-    some = colours.split()
-    return linear(some[int(rng.integers(len(some)))]) * np.exp(rng.normal(0, 0.12, 3)).astype(np.float32)
+    return one_of(rng, colours) * np.exp(rng.normal(0, 0.12, 3)).astype(np.float32)
 
 
 def _looks(
@@ -322,7 +321,7 @@ def _sheet(rng: np.random.Generator, garment: bool) -> Sheet:
     if garment:
         outline = _GARMENTS[int(rng.integers(len(_GARMENTS)))] * rng.uniform(0.85, 1.15, 2)
     else:
-        outline = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (1, rng.uniform(0.55, 1.0))
+        outline = SQUARE * (1, rng.uniform(0.55, 1.0))
     sides = zip(outline, np.roll(outline, -1, axis=0), strict=True)
     around = np.concatenate([np.linspace(a, b, 40, endpoint=False) for a, b in sides])
     kernel = np.hanning(int(rng.integers(5, 13)))
@@ -332,8 +331,7 @@ def _sheet(rng: np.random.Generator, garment: bool) -> Sheet:
         wave = np.sin(around[:, ::-1] * k * rng.uniform(0.6, 1.4, 2) + rng.uniform(0, 6, 2))
         around = around + rng.uniform(0, 0.09) / k * wave
     turn, reach = rng.uniform(0, 2 * np.pi), rng.uniform(100, 210)
-    way = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    around = around @ way * reach + rng.uniform((0.35, 0.4), (0.65, 0.6)) * SIZE[::-1]
+    around = around @ axes(turn) * reach + rng.uniform((0.35, 0.4), (0.65, 0.6)) * SIZE[::-1]
     flap, rest = None, around
     if rng.random() < (0.15 if garment else 0.45):
         corner = around[40 * int(rng.integers(len(outline)))]

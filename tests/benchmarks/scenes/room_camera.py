@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
 import numpy as np
 
 from shape_obs.bench.scenes import SIZE
-from tests.benchmarks.scenes.height_field import Array, Field, Image, unit
+from tests.benchmarks.scenes.height_field import SQUARE, Array, Field, Image, axes, unit
 from tests.benchmarks.scenes.laid_objects import Pile
 
 _MARCH: Final = (1.0, 2.5, 4.5, 7.0, 11.0, 17.0, 26.0, 40.0)  # pixels towards the light at which shadows are looked for
@@ -43,14 +43,13 @@ class Light:
         fall = rng.normal(0, 0.5 if rng.random() < 0.3 else 0.15, 2)
         light = cls(toward, float(rng.uniform(0.3, 0.65)), fall, float(rng.uniform(0.8, 4)))
         count = int(rng.choice([0, 1, 2], p=[0.6, 0.3, 0.1]))
-        return cls(toward, light.ambient, fall, light.soft, tuple(light.new_shadow(rng) for _ in range(count)))
+        return replace(light, shadows=tuple(light.new_shadow(rng) for _ in range(count)))
 
     def new_shadow(self, rng: np.random.Generator) -> Shadow:
         """Draw the shadow of a person, an arm, a shelf or a window frame."""
         centre, turn = rng.uniform((0, 0), SIZE[::-1]), rng.uniform(0, np.pi)
         half = rng.uniform(30, 260), 900.0
-        way = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half * rng.uniform(0.7, 1.2, (4, 2)) @ way + centre
+        corners = SQUARE * half * rng.uniform(0.7, 1.2, (4, 2)) @ axes(turn) + centre
         return Shadow(corners, float(np.exp(rng.uniform(np.log(3), np.log(40)))), float(rng.uniform(0.2, 0.6)))
 
     def on(self, pile: Pile) -> Field:
@@ -86,37 +85,21 @@ class Light:
         return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
-@dataclass(frozen=True)
 class Camera:
     """A camera that has set its exposure and its white balance for a ground, not quite right."""
 
-    exposure: float
-    tint: Field  # (3,) error of the white balance
-    blur: float  # pixels
-    spread: float  # by which share red is larger than blue: chromatic aberration
-    dim: float  # how much less light the corners get
-    noise: float  # standard deviation of a gray pixel, linear
-    contrast: float
-    colourful: float
-    sharpened: float
-    quality: int  # of the JPEG file
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, ground: Field) -> Camera:
-        """Draw a camera whose exposure suits a ground."""
+    def __init__(self, rng: np.random.Generator, ground: Field) -> None:
         gray = float(ground[::8, ::8].mean())
-        return cls(
-            exposure=float(0.36 / gray**0.65 * np.exp(rng.normal(0, 0.25))),
-            tint=np.exp(rng.normal(0, (0.08, 0.02, 0.1))).astype(np.float32),
-            blur=float(rng.uniform(0.35, 1.0)),
-            spread=float(rng.uniform(0, 0.0015)),
-            dim=float(rng.uniform(0, 0.35)),
-            noise=float(np.exp(rng.uniform(np.log(0.003), np.log(0.02)))),
-            contrast=float(rng.uniform(0, 0.6)),
-            colourful=float(rng.uniform(0.65, 1.15)),
-            sharpened=float(rng.choice([0, 0.5, 1.0])),
-            quality=int(rng.integers(60, 97)),
-        )
+        self.exposure = float(0.36 / gray**0.65 * np.exp(rng.normal(0, 0.25)))
+        self.tint = np.exp(rng.normal(0, (0.08, 0.02, 0.1))).astype(np.float32)  # error of the white balance
+        self.blur = float(rng.uniform(0.35, 1.0))  # pixels
+        self.spread = float(rng.uniform(0, 0.0015))  # share by which red is larger than blue: chromatic aberration
+        self.dim = float(rng.uniform(0, 0.35))  # how much less light the corners get
+        self.noise = float(np.exp(rng.uniform(np.log(0.003), np.log(0.02))))  # deviation of a gray pixel, linear
+        self.contrast = float(rng.uniform(0, 0.6))
+        self.colourful = float(rng.uniform(0.65, 1.15))
+        self.sharpened = float(rng.choice([0, 0.5, 1.0]))
+        self.quality = int(rng.integers(60, 97))  # of the JPEG file
 
     def take(self, rng: np.random.Generator, light: Field) -> Image:
         """Return the photo of what sends light, ``(H, W, 3)`` uint8."""

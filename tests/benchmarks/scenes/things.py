@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 
 from shape_obs.bench.scenes import SIZE
-from tests.benchmarks.scenes.grounds import linear
-from tests.benchmarks.scenes.height_field import Array
+from tests.benchmarks.scenes.grounds import one_of
+from tests.benchmarks.scenes.height_field import SQUARE, Array, axes
 from tests.benchmarks.scenes.laid_objects import Look, Make, Print, Sheet, Strand
 
 Things = list[Strand | Sheet]
@@ -49,22 +49,18 @@ def bent(rng: np.random.Generator, width: float) -> Array:
 
 
 def _look(rng: np.random.Generator, colours: str, gloss: float, make: Make = "smooth", print_: Print = "plain") -> Look:
-    some = colours.split()
-    colour, second = (linear(some[int(rng.integers(len(some)))]) for _ in range(2))
-    return Look(colour, second, gloss, make, print_, seed=int(rng.integers(1 << 30)))
+    return Look(one_of(rng, colours), one_of(rng, colours), gloss, make, print_, seed=int(rng.integers(1 << 30)))
 
 
 def _rod(at: Array, angle: float, begin: float, end: float, width: float, look: Look, *, lift: float = 0.0) -> Strand:
     """Return a straight strand between two distances from a place."""
-    way = np.array([np.cos(angle), np.sin(angle)])
     steps = np.linspace(begin, end, max(int(end - begin), 4))
-    return Strand(at + steps[:, None] * way, width, np.full(len(steps), lift), look, rounded=True)
+    return Strand(at + steps[:, None] * axes(angle)[0], width, np.full(len(steps), lift), look, rounded=True)
 
 
 def _slab(at: Array, angle: float, sides: Array, look: Look, thick: float) -> Sheet:
     """Return a rectangle."""
-    way = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    outline = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * sides / 2 @ way + at
+    outline = SQUARE * sides / 2 @ axes(angle) + at
     return Sheet(outline, outline, look, thick)
 
 
@@ -107,7 +103,7 @@ def clutter(rng: np.random.Generator, count: int) -> Things:
 def hand(rng: np.random.Generator, at: Array, angle: float) -> Things:
     """Return a hand whose fingers are at a place, and that reaches to it from the direction opposite to ``angle``."""
     palm, skin = float(rng.uniform(75, 130)), _look(rng, _SKIN, 0.12)
-    way, side = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+    way, side = axes(angle)
     wrist, sleeve = at - way * 1.5 * palm, _look(rng, _CLOTH, 0.03) if rng.random() < 0.5 else skin
     parts: Things = [_rod(wrist, angle, -900, 0.2 * palm, 0.72 * palm, sleeve, lift=6)]
     parts.append(_rod(wrist, angle, 0, 0.55 * palm, palm, skin, lift=2))
@@ -125,7 +121,7 @@ def hand(rng: np.random.Generator, at: Array, angle: float) -> Things:
 def gripper(rng: np.random.Generator, at: Array, angle: float) -> Things:
     """Return the two jaws of a gripper that closes at a place, and its palm."""
     look, wide, long = _look(rng, _STEEL, 0.4), rng.uniform(14, 30), rng.uniform(50, 110)
-    way, side = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+    way, side = axes(angle)
     parts: Things = []
     for k in (-1, 1):
         middle = at - way * long / 2 + side * k * rng.uniform(0.8, 1.4) * wide
