@@ -32,7 +32,8 @@ def direction(rng: Random) -> tuple[float, float]:
     return math.cos(angle), math.sin(angle)
 
 
-def _turned(points: Array, cosine: float, sine: float) -> Array:
+def _turned(rng: Random, points: Array) -> Array:
+    cosine, sine = direction(rng)
     return points @ np.array([[cosine, sine], [-sine, cosine]])
 
 
@@ -61,7 +62,7 @@ def rope(rng: Random, width: float) -> Array:
         controls = np.stack([u * rng.uniform(180, 330), rng.normal(0, rng.uniform(3, 60), count)], 1)
     else:  # a U
         controls = np.stack([u * rng.uniform(max(20, 3 * width), 150), (1 - u**2) * rng.uniform(60, 250) - 60], 1)
-    controls = _turned(controls + rng.normal(0, 9, (count, 2)), *direction(rng)) + rng.normal(0.5, 0.2, 2) * SIZE
+    controls = _turned(rng, controls + rng.normal(0, 9, (count, 2))) + rng.normal(0.5, 0.2, 2) * SIZE
     curve = _spline(controls if kind != "places" else rng.uniform(-0.12, 1.12, (count, 2)) * SIZE)
     return curve[int(rng.uniform(0.1, 0.5) * len(curve)) if rng.random() < 0.3 else 0 :]
 
@@ -90,7 +91,7 @@ def _round(rng: Random, bumps: float, count: int = 48) -> Array:
 
 def ring(rng: Random) -> Array:
     """Draw a closed curve, the first point twice: round, elongated or dented."""
-    shape = _turned(_round(rng, 0.16), *direction(rng)) * np.exp(rng.uniform(np.log(22), np.log(110)))
+    shape = _turned(rng, _round(rng, 0.16)) * np.exp(rng.uniform(np.log(22), np.log(110)))
     curve = _spline(np.concatenate([shape, shape[:3]]) + rng.uniform(0.2, 0.8, 2) * SIZE)
     return np.concatenate([curve, curve[:1]])
 
@@ -107,7 +108,7 @@ def outline(rng: Random) -> Array:
         shape = np.concatenate([half, half[::-1] * [-1, 1]])
     elif kind == "sock":
         shape = np.array(_SOCK) * [rng.choice([-1, 1]), 1]
-    shape = scale * (_turned(shape, *direction(rng)) if rng.random() < 0.6 else shape)
+    shape = scale * (_turned(rng, shape) if rng.random() < 0.6 else shape)
     edge = resample(np.concatenate([shape, shape[:1]]) + rng.uniform(0.25, 0.75, 2) * SIZE, 2.0)
     edge = _smooth(edge, rng.uniform(1, 5) * scale / 60)  # no corner of cloth is sharp
     sway = _smooth(rng.standard_normal(edge.shape), rng.uniform(8, 30))  # and no edge quite straight

@@ -18,16 +18,17 @@ import skimage
 from curves import HEIGHT, SHAPE, SIZE, WIDTH, Array, Random, direction, noise
 from materials import brown, colour, from_hsv
 
-_PNG: Final = ("astronaut", "clock_motion", "text", "brick", "camera", "chelsea", "coffee", "grass", "gravel", "coins")
-_OTHER: Final = ("ihc.png", "hubble_deep_field.jpg", "retina.jpg")
+_PICTURES: Final = (
+    "astronaut.png clock_motion.png text.png brick.png camera.png chelsea.png coffee.png grass.png gravel.png "
+    "coins.png ihc.png hubble_deep_field.jpg retina.jpg"
+)
 _Y, _X = np.mgrid[0:HEIGHT, 0:WIDTH].astype(np.float32)
 
 
 @cache
 def _pictures() -> list[Array]:
-    names = [*(f"{name}.png" for name in _PNG), *_OTHER]
-    read = [cv2.imread(str(Path(skimage.__file__).parent / "data" / name)) for name in names]
-    return [cv2.cvtColor(picture, cv2.COLOR_BGR2RGB).astype(np.float32) for picture in read if picture is not None]
+    read = [cv2.imread(str(Path(skimage.__file__).parent / "data" / name)) for name in _PICTURES.split()]
+    return [picture[..., ::-1].astype(np.float32) for picture in read if picture is not None]
 
 
 def ground(rng: Random) -> Array:

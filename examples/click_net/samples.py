@@ -46,13 +46,14 @@ class Sample:
 
     def corrected(self, rng: Random, probability: Array) -> Sample:
         """Return the sample of the next pass, with a click on the largest error if there is one."""
-        found, more = probability > 0.5, replace(self, previous=probability)
-        missed, extra = _largest((self.target == 1) & ~found), _largest((self.target == 0) & found)
-        if missed.sum() > extra.sum():
-            more.on = _and_click(rng, self.on, self.photo, missed)
-        elif extra.any():
-            more.off = _and_click(rng, self.off, self.photo, extra)
-        return more
+        missed = _largest((self.target == 1) & (probability <= 0.5))
+        extra = _largest((self.target == 0) & (probability > 0.5))
+        name, error = ("on", missed) if missed.sum() > extra.sum() else ("off", extra)
+        clicks: Clicks = getattr(self, name)
+        if error.any():
+            more = Clicks.at(as_lab(self.photo), [_inside(rng, error)])
+            clicks = Clicks(*map(np.concatenate, zip(clicks, more, strict=True)))
+        return replace(self, previous=probability, **{name: clicks})
 
 
 class Batches(IterableDataset[tuple[list[Sample], Tensor]]):
@@ -148,13 +149,13 @@ def _on_ground(rng: Random, scene: Scene) -> Sample | None:
     away = 1 - cv2.dilate((scene.whole > 0).astype(np.uint8), np.ones((25, 25), np.uint8))
     if not away.any():
         return None
-    pixel, even = _inside(rng, away), np.zeros((HEIGHT + 2, WIDTH + 2), np.uint8)
-    cv2.floodFill(scene.photo.copy(), even, pixel, (0,), *_EVEN, flags=4 | (1 << 8) | cv2.FLOODFILL_MASK_ONLY)
-    even = even[1:-1, 1:-1]
+    pixel, padded = _inside(rng, away), np.zeros((HEIGHT + 2, WIDTH + 2), np.uint8)
+    cv2.floodFill(scene.photo.copy(), padded, pixel, (0,), *_EVEN, flags=4 | (1 << 8) | cv2.FLOODFILL_MASK_ONLY)
+    even = padded[1:-1, 1:-1]
     if min(even.mean(), np.concatenate([*even[[0, -1]], *even.T[[0, -1]]]).mean()) < _WIDE:
         return None
-    on, off = Clicks.at(as_lab(scene.photo), [pixel]), Clicks()
-    return Sample(scene.photo, np.zeros(SHAPE, np.uint8), on, off, None, "ground", False)
+    on = Clicks.at(as_lab(scene.photo), [pixel])
+    return Sample(scene.photo, np.zeros(SHAPE, np.uint8), on, Clicks(), None, "ground", False)
 
 
 def _places_off(rng: Random, scene: Scene, mask: Array) -> list[tuple[int, int]]:
@@ -185,11 +186,6 @@ def _moved(rng: Random, mask: Array) -> Array:
     for _ in range(rng.integers(0, 4) if rng.random() < 0.5 else 0):
         cv2.circle(moved, rng.integers((WIDTH, HEIGHT)).tolist(), int(rng.integers(5, 40)), 0, -1)
     return cv2.GaussianBlur(moved.astype(np.float32), (0, 0), rng.uniform(0.1, 1.2))
-
-
-def _and_click(rng: Random, clicks: Clicks, photo: Array, area: Array) -> Clicks:
-    more = Clicks.at(as_lab(photo), [_inside(rng, area)])
-    return Clicks(np.concatenate([clicks.places, more.places]), np.concatenate([clicks.colours, more.colours]))
 
 
 def _inside(rng: Random, mask: Array) -> tuple[int, int]:

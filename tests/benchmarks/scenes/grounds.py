@@ -140,8 +140,8 @@ def _breadboard(rng: np.random.Generator, size: Size) -> Picture:
     u, v = raster(rng, size, 1.6)
     pitch = rng.uniform(22, 40)
     row = np.floor(v / pitch) % 14
-    du, dv = np.abs((u / pitch) % 1 - 0.5) * pitch, np.abs((v / pitch) % 1 - 0.5) * pitch
-    holes = ((np.maximum(du, dv) < 0.2 * pitch) & (row != 6) & (row != 0) & (row != 11))[..., None]
+    away = np.maximum(*(np.abs((each / pitch) % 1 - 0.5) * pitch for each in (u, v)))  # from the nearest hole
+    holes = ((away < 0.2 * pitch) & ~np.isin(row, (0, 6, 11)))[..., None]
     board = np.where(holes, 0.04, _one_of(rng, "ece9e2 f2f2ee d9d6cc") * np.exp(0.02 * _rough(rng, size, 200, 3)))
     for line, colour in ((0, "c03028"), (11, "2850b0")):
         rail = (np.abs(v % (14 * pitch) - (line + 0.5) * pitch) < 2.5)[..., None]

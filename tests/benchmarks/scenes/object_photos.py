@@ -7,7 +7,7 @@ picture.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final, Literal, get_args
@@ -27,6 +27,7 @@ Kind = Literal["rope", "wire", "sheet", "garment", "ring"]
 KINDS: Final = get_args(Kind)
 THIN: Final = ("rope", "wire")
 Mask = npt.NDArray[np.bool_]
+Random = np.random.Generator
 Object = Strand | Sheet
 
 _JACKETS: Final = "c3272f 17181a e6e5e1 2b56a8 2f8f4e e0b52c d9772a 6b4a2f 8d9094 d9c9a6 7a3f8f 4b4e52 b7c7d6 efe3c0"
@@ -59,10 +60,7 @@ class ObjectPhoto:
         near = cv2.dilate((self.mask | self.ignored).view(np.uint8), np.ones((2 * _LEEWAY + 1,) * 2, np.uint8)) > 0
         cells, counts = np.unique(np.round(lab[self.mask] / 4), axis=0, return_counts=True)
         colours = 4 * cells[counts > 0.01 * counts.sum()].astype(np.float32)
-        others = lab[~near]
-        same = np.zeros(len(others), np.bool_)
-        for colour in colours:
-            same |= ((others - colour) ** 2).sum(axis=1) < _OWN[0] ** 2
+        same = np.any([((lab[~near] - colour) ** 2).sum(axis=1) < _OWN[0] ** 2 for colour in colours], axis=0)
         return int(np.count_nonzero(same)) < _OWN[1] * lab[..., 0].size
 
 
@@ -78,7 +76,7 @@ class Setting:
     light: Light
     camera: Camera
 
-    def photo(self, rng: np.random.Generator, target: int) -> ObjectPhoto:
+    def photo(self, rng: Random, target: int) -> ObjectPhoto:
         """Take a photo; one of the objects is what is looked for."""
         pile = Pile(self.ground)
         for each in self.below:
@@ -102,8 +100,7 @@ class Setting:
             inset = round(_TIP * each.width)  # tips, and what the photo's border cuts, have no certain axis
             axis, width = each.curve[inset : len(each.curve) - inset], each.width
             at = np.round(axis).astype(int)
-            border = each.width / 2
-            inside = ((at >= border) & (at < np.array(SIZE[::-1]) - border)).all(axis=1)
+            inside = ((at >= width / 2) & (at < np.array(SIZE[::-1]) - width / 2)).all(axis=1)
             axis, at = axis[inside], at[inside]
             axis = axis[mask[at[:, 1], at[:, 0]]]
         return ObjectPhoto(rgb, mask, ignored, self.kinds[target], axis, width)
@@ -117,12 +114,12 @@ def object_photos(count: int, seed: int) -> Iterator[ObjectPhoto]:
         yield object_photo(np.random.default_rng([seed, k]), turns[k % len(turns)], names[k % len(names)])
 
 
-def object_photo(rng: np.random.Generator, kind: Kind, ground: str) -> ObjectPhoto:
+def object_photo(rng: Random, kind: Kind, ground: str) -> ObjectPhoto:
     """Draw a photo of 640 x 480 pixels of one kind of object on a ground of ``GROUNDS``."""
     return _found(rng, kind, ground)[2]
 
 
-def object_sequence(rng: np.random.Generator, kind: Kind, ground: str, frames: int = 100) -> Iterator[ObjectPhoto]:
+def object_sequence(rng: Random, kind: Kind, ground: str, frames: int = 100) -> Iterator[ObjectPhoto]:
     """Yield photos of an object that moves while the light changes by 20 %, a hand passes, and then a shadow."""
     setting, target, _ = _found(rng, kind, ground)
     sway = [(unit(rng.normal(size=2)) * rng.uniform(5, 14), rng.normal(0, 0.006, 2), rng.uniform(0.03, 0.07), phase)
@@ -130,18 +127,17 @@ def object_sequence(rng: np.random.Generator, kind: Kind, ground: str, frames: i
     passing, angle = hand(rng, np.zeros(2), rng.uniform(0, 2 * np.pi)), rng.uniform(0, 2 * np.pi)
     shade, centre = setting.light.new_shadow(rng), np.array(SIZE[::-1]) / 2
     side, way = rng.uniform(-160, 160), np.array([np.cos(angle), np.sin(angle)])
+
+    def swayed(points: Array, k: int) -> Array:
+        places = [points @ wave + phase for _, wave, _, phase in sway]
+        shifts = (reach * (np.sin(place + pace * k) - np.sin(place))[:, None]
+                  for place, (reach, _, pace, _) in zip(places, sway, strict=True))  # fmt: skip
+        return points + sum(shifts)
+
     for k in range(frames):
-
-        def swayed(points: Array, k: int = k) -> Array:
-            shift = np.zeros_like(points)
-            for reach, wave, pace, phase in sway:
-                place = points @ wave + phase
-                shift += reach * (np.sin(place + pace * k) - np.sin(place))[:, None]
-            return points + shift
-
         share = k / max(frames - 1, 1)
         objects = list(setting.objects)
-        objects[target] = moved(objects[target], swayed)
+        objects[target] = moved(objects[target], partial(swayed, k=k))
         over, shadows = setting.above, setting.light.shadows
         if 0.2 < share < 0.55:
             at = centre + way * np.interp(share, (0.2, 0.55), (-520, 520)) + side * way[::-1] * (-1, 1)
@@ -153,7 +149,7 @@ def object_sequence(rng: np.random.Generator, kind: Kind, ground: str, frames: i
         yield replace(setting, objects=tuple(objects), above=over, light=light).photo(rng, target)
 
 
-def _found(rng: np.random.Generator, kind: Kind, name: str) -> tuple[Setting, int, ObjectPhoto]:
+def _found(rng: Random, kind: Kind, name: str) -> tuple[Setting, int, ObjectPhoto]:
     """Return a setting, the number of an object of a kind in it that a person would find, and its photo."""
     best: tuple[float, Setting, int, ObjectPhoto] | None = None
     for _ in range(_TRIES):
@@ -172,11 +168,9 @@ def _found(rng: np.random.Generator, kind: Kind, name: str) -> tuple[Setting, in
 
 def _contrast(photo: ObjectPhoto) -> float:
     """Return the distance in Lab of an object from what is around it."""
-    if not photo.mask.any():
-        return 0.0
     reach = np.ones((2 * 4 * _LEEWAY + 1,) * 2, np.uint8)
     around = (cv2.dilate(photo.mask.view(np.uint8), reach) > 0) & ~photo.mask & ~photo.ignored
-    if not around.any():
+    if not photo.mask.any() or not around.any():
         return 0.0
     lab = cv2.cvtColor(photo.rgb.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
     return float(np.linalg.norm(np.median(lab[photo.mask], axis=0) - np.median(lab[around], axis=0)))
@@ -194,16 +188,15 @@ def _height_below(under: Field, strand: Strand) -> Array:
     return low[at[:, 1], at[:, 0]].astype(np.float64)
 
 
-def _setting(rng: np.random.Generator, kind: Kind, name: str) -> Setting:
+def _setting(rng: Random, kind: Kind, name: str) -> Setting:
     """Draw a setting with at least one object of a kind."""
     field = ground(rng, name, (SIZE[0] * FINER, SIZE[1] * FINER))
     objects = _MAKERS[kind](rng)
-    kinds: tuple[Kind, ...] = tuple(kind for _ in objects)
+    kinds = [kind for _ in objects]
     if rng.random() < 0.25:
-        more: Kind = "wire" if kind != "wire" else "rope"
-        some = _MAKERS[more](rng)[:2]
-        others: tuple[Kind, ...] = tuple(more for _ in some)
-        objects, kinds = [*objects, *some], kinds + others
+        other: Kind = "wire" if kind != "wire" else "rope"
+        some = _MAKERS[other](rng)[:2]
+        objects, kinds = objects + some, kinds + [other for _ in some]
     below = clutter(rng, int(rng.integers(5, 16)) if rng.random() < 0.3 else int(rng.integers(0, 3)))
     above: list[Object] = []
     if rng.random() < 0.3:  # something grips an object, or comes near it
@@ -213,16 +206,14 @@ def _setting(rng: np.random.Generator, kind: Kind, name: str) -> Setting:
         away = float(np.arctan2(*(np.array(SIZE[::-1]) / 2 - at)[::-1])) + rng.normal(0, 0.4)
         above += hand(rng, at, away) if rng.random() < 0.6 else gripper(rng, at, away)
     light = Light.drawn(rng)
-    return Setting(field, tuple(objects), kinds, tuple(below), tuple(above), light, Camera(rng, field))
+    return Setting(field, tuple(objects), tuple(kinds), tuple(below), tuple(above), light, Camera(rng, field))
 
 
-def _colour(rng: np.random.Generator, colours: str) -> Field:
+def _colour(rng: Random, colours: str) -> Field:
     return one_of(rng, colours) * np.exp(rng.normal(0, 0.12, 3)).astype(np.float32)
 
 
-def _looks(
-    rng: np.random.Generator, count: int, makes: tuple[Make, ...], gloss: float, *, unlike: bool = False
-) -> list[Look]:
+def _looks(rng: Random, count: int, makes: Sequence[Make], gloss: float, *, unlike: bool = False) -> list[Look]:
     """Return the looks of strands: of any colours, or, one time in four, some that are nearly or exactly the same."""
     like = float(rng.choice([0.0, 0.06, 0.25])) if rng.random() < 0.25 and not unlike else None
     looks: list[Look] = []
@@ -235,7 +226,7 @@ def _looks(
     return looks
 
 
-def _strands(rng: np.random.Generator, curves: list[Array], widths: list[float], looks: list[Look]) -> list[Object]:
+def _strands(rng: Random, curves: list[Array], widths: list[float], looks: list[Look]) -> list[Object]:
     """Return strands that go over and under one another, some with heat-shrink tubes or taped ends."""
     most, strands = max(widths), list[Object]()
     for curve, width, look in zip(curves, widths, looks, strict=True):
@@ -247,7 +238,7 @@ def _strands(rng: np.random.Generator, curves: list[Array], widths: list[float],
     return strands
 
 
-def _ropes(rng: np.random.Generator) -> list[Object]:
+def _ropes(rng: Random) -> list[Object]:
     count = int(rng.choice([1, 2, 3, 4], p=[0.35, 0.3, 0.2, 0.15]))
     width = np.exp(rng.uniform(np.log(9), np.log(40 if count < 3 else 24)))
     widths = (width * rng.uniform(0.8, 1.2, count)).tolist()
@@ -255,7 +246,7 @@ def _ropes(rng: np.random.Generator) -> list[Object]:
     return _strands(rng, _bent_apart(rng, widths), widths, looks)
 
 
-def _bent_apart(rng: np.random.Generator, widths: list[float]) -> list[Array]:
+def _bent_apart(rng: Random, widths: list[float]) -> list[Array]:
     """Return axes of ropes or wires that cross, and seldom lie along one another."""
     curves, ways = list[Array](), list[Array]()
     for width in widths:
@@ -274,7 +265,7 @@ def _bent_apart(rng: np.random.Generator, widths: list[float]) -> list[Array]:
     return curves
 
 
-def _wires(rng: np.random.Generator) -> list[Object]:
+def _wires(rng: Random) -> list[Object]:
     """Return wires that cross, or, now and then, a harness whose wires run side by side."""
     count = int(rng.choice(6, p=(0.2, 0.25, 0.2, 0.15, 0.1, 0.1))) + 1
     width = float(np.exp(rng.uniform(np.log(3.2), np.log(11))))
@@ -295,12 +286,11 @@ def _wires(rng: np.random.Generator) -> list[Object]:
     return _strands(rng, curves, [width] * count, looks)
 
 
-def _rings(rng: np.random.Generator) -> list[Object]:
+def _rings(rng: Random) -> list[Object]:
     """Return closed bands, hoops and rings."""
     rings = list[Object]()
     around = np.linspace(0, 2 * np.pi, 700)
-    makes: tuple[Make, ...] = ("flat", "smooth", "smooth", "braided", "ribbed")
-    for look in _looks(rng, int(rng.integers(1, 4)), makes, 0.5):
+    for look in _looks(rng, int(rng.integers(1, 4)), ("flat", "smooth", "smooth", "braided", "ribbed"), 0.5):
         radius = rng.uniform(45, 150)
         waves = [rng.uniform(0, 0.16) / k * np.cos(k * around + rng.uniform(0, 6)) for k in (2, 3, 4)]
         out = radius * (1 + np.sum(waves, axis=0))
@@ -311,12 +301,7 @@ def _rings(rng: np.random.Generator) -> list[Object]:
     return rings
 
 
-def _sheets(rng: np.random.Generator, *, garments: bool) -> list[Object]:
-    """Return one or two towels, or garments."""
-    return [_sheet(rng, garments) for _ in range(rng.integers(1, 3))]
-
-
-def _sheet(rng: np.random.Generator, garment: bool) -> Sheet:
+def _sheet(rng: Random, garment: bool) -> Sheet:
     """Return a towel or a garment, a corner of it sometimes folded over."""
     if garment:
         outline = _GARMENTS[int(rng.integers(len(_GARMENTS)))] * rng.uniform(0.85, 1.15, 2)
@@ -357,7 +342,10 @@ _GARMENTS: Final = tuple(
         ((0.15, -0.9), (0.38, -1.0), (1.0, 0.55), (0.75, 0.65), (0.5, -0.1), (0.52, 0.9)),  # a jumper
     )
 )
-_MAKERS: Final[dict[Kind, Callable[[np.random.Generator], list[Object]]]] = {
-    "rope": _ropes, "wire": _wires, "ring": _rings,
-    "sheet": partial(_sheets, garments=False), "garment": partial(_sheets, garments=True),
-}  # fmt: skip
+_MAKERS: Final[dict[Kind, Callable[[Random], list[Object]]]] = {
+    "rope": _ropes,
+    "wire": _wires,
+    "ring": _rings,
+    "sheet": lambda rng: [_sheet(rng, garment=False) for _ in range(rng.integers(1, 3))],
+    "garment": lambda rng: [_sheet(rng, garment=True) for _ in range(rng.integers(1, 3))],
+}
