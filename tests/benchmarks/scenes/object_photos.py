@@ -192,11 +192,12 @@ def _setting(rng: Random, kind: Kind, name: str) -> Setting:
     """Draw a setting with at least one object of a kind."""
     field = ground(rng, name, (SIZE[0] * FINER, SIZE[1] * FINER))
     objects = _MAKERS[kind](rng)
-    kinds = [kind for _ in objects]
+    kinds: tuple[Kind, ...] = tuple(kind for _ in objects)
     if rng.random() < 0.25:
         other: Kind = "wire" if kind != "wire" else "rope"
         some = _MAKERS[other](rng)[:2]
-        objects, kinds = objects + some, kinds + [other for _ in some]
+        others: tuple[Kind, ...] = tuple(other for _ in some)
+        objects, kinds = objects + some, kinds + others
     below = clutter(rng, int(rng.integers(5, 16)) if rng.random() < 0.3 else int(rng.integers(0, 3)))
     above: list[Object] = []
     if rng.random() < 0.3:  # something grips an object, or comes near it
@@ -206,7 +207,7 @@ def _setting(rng: Random, kind: Kind, name: str) -> Setting:
         away = float(np.arctan2(*(np.array(SIZE[::-1]) / 2 - at)[::-1])) + rng.normal(0, 0.4)
         above += hand(rng, at, away) if rng.random() < 0.6 else gripper(rng, at, away)
     light = Light.drawn(rng)
-    return Setting(field, tuple(objects), tuple(kinds), tuple(below), tuple(above), light, Camera(rng, field))
+    return Setting(field, tuple(objects), kinds, tuple(below), tuple(above), light, Camera(rng, field))
 
 
 def _colour(rng: Random, colours: str) -> Field:
