@@ -24,6 +24,7 @@ _NEW: Final = 4  # scenes drawn for each batch
 _LEAST: Final = 60  # pixels of an object that must be seen for it to be clicked
 _EVEN: Final = ((8, 8, 8), (8, 8, 8))  # levels between neighbouring pixels of an even ground
 _WIDE: Final = 0.2  # share of the photo, and of its border, that an even ground has
+_GONE: Final = 0.08  # share of the frames of videos in which the object is not to be seen any more
 _NEAR: Final = np.ones((5, 5), np.uint8)  # objects that come closer than 2 pixels touch
 _ALIKE: Final = 14.0  # distance of colours in Lab, squares of lightness at half weight, that are easily confused
 
@@ -75,6 +76,10 @@ class Batches(IterableDataset[tuple[list[Sample], Tensor]]):
             drawn, rng = (batch + 1) * _NEW, np.random.default_rng([self.seed, 1, batch])
             attempts = (draw_sample(rng, _varied(rng, pool[rng.integers(len(pool))])) for _ in count())
             samples = list(islice((sample for sample in attempts if sample), BATCH))
+            for k, sample in enumerate(samples):
+                if sample.kind == "video" and rng.random() < _GONE:
+                    elsewhere = pool[rng.integers(len(pool))].photo
+                    samples[k] = replace(sample, photo=elsewhere, target=np.zeros(SHAPE, np.uint8))
             yield samples, torch.from_numpy(np.stack([sample.seen() for sample in samples]).astype(np.float16))
 
 
@@ -116,7 +121,7 @@ def draw_sample(rng: Random, scene: Scene, kind: str | None = None) -> Sample | 
     target = mask.copy()
     for other in _alike(scene, lab, index):
         part = scene.whole >> other & 1
-        # Which one is meant says, in a video, the frame before. Ropes are separated afterwards, by following one.
+        # In a video the frame before shows which one is meant. Ropes are separated afterwards, by following one.
         either = kind == "click" and not any(part[y, x] for x, y in off)
         if kind == "colour":
             target[part > 0] = 1
@@ -145,7 +150,7 @@ def _alike(scene: Scene, lab: Array, index: int) -> list[int]:
 
 
 def _on_ground(rng: Random, scene: Scene) -> Sample | None:
-    """Draw a click on what is neither an object nor a thing: even, wide, and cut by the border of the photo."""
+    """Draw a click on what is no object and no clutter: even, wide, and cut by the border of the photo."""
     away = 1 - cv2.dilate((scene.whole > 0).astype(np.uint8), np.ones((25, 25), np.uint8))
     if not away.any():
         return None
@@ -183,6 +188,9 @@ def _moved(rng: Random, mask: Array) -> Array:
     moved, change = cv2.remap(mask, source[..., 0], source[..., 1], cv2.INTER_NEAREST), rng.random()
     if change < 0.4:
         moved = cv2.dilate(moved, np.ones((3, 3))) if change < 0.25 else cv2.erode(moved, np.ones((2, 2)))
+    if rng.random() < 0.15:  # nothing on one side of a line
+        direction, point = rng.standard_normal(2), np.argwhere(mask)[rng.integers(np.count_nonzero(mask)), ::-1]
+        moved[(grid[..., :2] - point) @ direction > 0] = 0
     for _ in range(rng.integers(0, 4) if rng.random() < 0.5 else 0):
         cv2.circle(moved, rng.integers((WIDTH, HEIGHT)).tolist(), int(rng.integers(5, 40)), 0, -1)
     return cv2.GaussianBlur(moved.astype(np.float32), (0, 0), rng.uniform(0.1, 1.2))

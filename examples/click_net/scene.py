@@ -92,7 +92,7 @@ class _Thin:
         canvas.whole[place] = canvas.whole[place] | np.uint8(1 << self.label >> 1) if self.label else 0
         canvas.top[place] = self.label
 
-    def lay(self, canvas: _Canvas, start: int, stop: int, offset: Array, blur: float, darkness: float) -> None:
+    def place(self, canvas: _Canvas, start: int, stop: int, offset: Array, blur: float, darkness: float) -> None:
         """Paint a piece and, before it, its shadow on what lies below, not on the adjacent pieces."""
         points, width = self.curve[start : stop + 1 : 3] + offset, float(self.width.mean())
         low = np.clip(points.min(0) - width - 3 * blur, 0, _DRAWN).astype(int)
@@ -178,7 +178,7 @@ def _add_thin(rng: Random, canvas: _Canvas, curve: Array, width: float, base: Ar
     height = rng.choice([0.25, 0.25, 1])  # over the ground: far shadows are soft
     shadow = rng.normal(0, height, 2) * width, rng.uniform(1, 5) * 4 * height, max(0, rng.uniform(-0.5, 0.7))
     for start, stop in pairwise(cuts):
-        canvas.plan(level + rng.random() * mixed, thin.lay, canvas, start, stop, *shadow)
+        canvas.plan(level + rng.random() * mixed, thin.place, canvas, start, stop, *shadow)
     for end in (points, points[::-1]) if not closed and rng.random() < 0.3 else ():  # plugs, ferrules, bare metal
         outwards = end[0] - end[min(len(end) - 1, 8)]
         tip = end[0] + outwards / max(float(np.hypot(*outwards)), 1e-6) * rng.uniform(0.2, 3.5) * width

@@ -29,7 +29,7 @@ HALF: Final = 0.5
 #: Pixels of a photo as the network sees it.
 PIXELS: Final = 448 * 336
 _SIDES: Final = 16  # pixels: what the network sees has sides of a multiple of this, two times at least
-# Distances of colours in Lab at which their likeness falls to 1/e: strict, loose; to colours clicked away.
+# Distances of colours in Lab at which their similarity falls to 1/e: strict, loose; to colours clicked away.
 _STRICT, _LOOSE, _AWAY = 8.0, 25.0, 10.0
 _OF_LIGHT: Final = 0.5  # weight of squared differences of lightness: light and shadow differ in it most
 _AT, _AROUND = 3.0, 30.0  # pixels from a click at which it falls to 1/e: the place itself, and its surroundings
@@ -65,7 +65,7 @@ def as_lab(rgb: Image) -> Array:
 def network_input(rgb: Image, lab: Array, on: Clicks, off: Clicks, previous: Array | None = None) -> Array:
     """Return what the network sees: ``(11, h, w)`` float32.
 
-    The colour, -1...1 (0 to 2); likeness to the clicked colours, strict (3), loose (4) and without lightness (5); to
+    The colour, -1...1 (0 to 2); similarity to the clicked colours, strict (3), loose (4) and without lightness (5); to
     colours clicked away (6); clicks on the object, the places (7) and their surroundings (8); clicks off it (9); the
     probability of the pass or frame before (10).
 
