@@ -81,7 +81,7 @@ def cloth(rng: Random, base: Array, shape: tuple[int, int], scale: float) -> Arr
     u, v = x * cosine + y * sine + warp, y * cosine - x * sine + warp
     period, part, fine = scale * rng.uniform(0.06, 0.5), rng.uniform(0.15, 0.6), 2 * np.pi / rng.uniform(2, 6)
     in_u, in_v = u / period % 1, v / period % 1
-    kind = rng.choice(["plain", "stripes", "checks", "dots", "figure", "word"], p=[0.55, 0.13, 0.13, 0.08, 0.06, 0.05])
+    kind = rng.choice(["plain", "stripes", "checks", "dots", "figure", "word"], p=[0.38, 0.2, 0.2, 0.1, 0.07, 0.05])
     share: Array = np.zeros(shape, np.float32)  # of the second colour
     if kind == "stripes":
         share = in_u < part
