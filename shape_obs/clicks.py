@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from shape_obs.frame import Frame, depth_in_metres
 from shape_obs.image.click_net import HALF, Clicks, Photo, Pixel, load_network
-from shape_obs.image.clicked_colours import ClickedColours, fit_rule
+from shape_obs.image.clicked_colours import LIGHTS, ClickedColours, fit_rule
 from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Expected, FollowingRule, Segmentation, need
@@ -97,7 +97,7 @@ def propose_segmentation(
         )
     mask, colours = _ropes_at(seen, small, on_it, off_it), fit_rule(small, seen)
     record = _plain(picks), _plain(nots)
-    if colours is not None and _is_same(_found(colours, small), mask):
+    if colours is not None and all(_is_same(_found(colours, _relit(small, gain)), mask) for gain in LIGHTS):
         rule: Segmentation = replace(colours, picks=record[0], nots=record[1])
     else:
         rule = ClickNet(picks=record[0], nots=record[1], object=_rows(on.colours), background=_rows(off.colours))
@@ -182,6 +182,10 @@ def _found(rule: ClickedColours, rgb: Image) -> Mask:
     """Return what a detector finds with the rule in an image."""
     mask = rule.clean(rule.matches(rgb).astype(np.uint8))
     return find_region(mask, _whole(mask), rule.min_area, rule.min_share).mask > 0
+
+
+def _relit(rgb: Image, gain: float) -> Image:
+    return np.clip(rgb * gain, 0, 255).astype(np.uint8)
 
 
 def _whole(mask: npt.NDArray[Any]) -> Window:

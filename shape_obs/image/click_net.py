@@ -35,7 +35,7 @@ _OF_LIGHT: Final = 0.5  # weight of squared differences of lightness: light and 
 _AT, _AROUND = 3.0, 30.0  # pixels from a click at which it falls to 1/e: the place itself, and its surroundings
 _FAR: Final = 1e4  # a squared distance in Lab above all that occur
 _FILE: Final = "click_net.onnx"
-_SHA256: Final = "74ec0e7052d078ab241aa6d66cc4c8601b5469e65d1efd8631c5e90755026ddc"
+_SHA256: Final = "9eb7b76bf170674b633de1abfe1c1e6476e0c70d966e7171e3ef10d71c3b6c85"
 
 
 class Clicks(NamedTuple):

@@ -36,6 +36,8 @@ _CORE: Final = 0.3  # share of a mask that is not its border, at least, for the 
 _NEAR: Final = 25  # pixels around an object that count as its surroundings
 # Of the object and of all else: samples, and colours of a mixture.
 _SAMPLES, _COLOURS = (800, 700), (4, 6)
+#: Factors by which the light may change in later frames.
+LIGHTS: Final = (1.0, 0.85, 1.15)
 _STRICTNESS: Final = (0.0, -3.0, -1.5, 1.5, 3.0, 5.0, 8.0)
 
 
@@ -123,12 +125,14 @@ def fit_rule(rgb: npt.NDArray[np.uint8], mask: npt.NDArray[np.bool_]) -> Clicked
         inner = mask  # at the border colours are mixed, but nothing else is left of it
     if not inner.any() or np.count_nonzero(away) < _FEWEST:
         return None
-    lab, rng = cv2.cvtColor(cv2.medianBlur(rgb, 3), cv2.COLOR_RGB2LAB), np.random.default_rng(0)
+    smooth, rng = cv2.medianBlur(rgb, 3).reshape(-1, 1, 3), np.random.default_rng(0)
 
     def sample(part: npt.NDArray[np.bool_], count: int) -> Array:
         chosen = np.flatnonzero(part)
         chosen = chosen if len(chosen) <= count else rng.choice(chosen, count, replace=False)
-        return np.asarray((lab.reshape(-1, 3)[chosen] - _ZERO) * _SCALE, np.float64)
+        gain = rng.choice(LIGHTS, len(chosen))[:, None, None]
+        lab = cv2.cvtColor(np.clip(smooth[chosen] * gain, 0, 255).astype(np.uint8), cv2.COLOR_RGB2LAB)
+        return np.asarray((lab[:, 0] - _ZERO) * _SCALE, np.float64)
 
     ground = np.concatenate([sample(near, _SAMPLES[1]), sample(away, _SAMPLES[1])])
     colours = fit_colours(sample(inner, _SAMPLES[0]), _COLOURS[0]), fit_colours(ground, _COLOURS[1])

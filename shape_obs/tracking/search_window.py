@@ -179,7 +179,7 @@ def draw_expected(mask: npt.NDArray[np.uint8], nodes: npt.NDArray[np.float64], t
     ends = nodes[track.topology.edges()]  # (E, 2, 2)
     corners = np.round(16 * ends).astype(np.int32)
     if isinstance(track.topology, Ring):
-        cv2.fillPoly(mask, [corners[:, 0]], (1,), shift=4)
+        cv2.fillPoly(mask, [np.ascontiguousarray(corners[:, 0])], (1,), shift=4)
         return
     long = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
     thick = track.width if isinstance(track.topology, Chain) and track.nodes.shape[1] == 2 else long
