@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.frame import Frame, depth_in_metres
-from shape_obs.image.click_net import HALF, Clicks, Photo, Pixel, load_network
+from shape_obs.image.click_net import HALF, Clicks, Photo, Pixel, distances_of_colours, load_network
 from shape_obs.image.clicked_colours import LIGHTS, ClickedColours, fit_rule
 from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
@@ -40,10 +40,9 @@ _STEP: Final = 0.006, 0.015  # metres, and share of the distance: a change of de
 _DEEP: Final = 0.03  # metres by which parts of one object lie before or behind others, beyond a step
 _PLAUSIBLE: Final = Segmentation.min_area, Segmentation.min_share
 _GAP: Final = Gap(15.0, 1.0)  # as wide as what may hide a rope, such as a hand
-_LIKE: Final = 12.0  # distance in Lab to the colour of a click: it still looks the same there
+_LIKE: Final = 14.0  # distance to the colour of a click, see ``distances_of_colours``: it still looks the same there
 _PIXELS_NEAR: Final = 100_000  # of the surroundings of a track, as the network sees them: it looks at these once
-_FEWEST_NODES: Final = 3  # of a track that lie on the rope that it follows; where another one crosses it has one or two
-_CONTEXT: Final = 32  # pixels around a search window that it sees as well
+_FEWEST_NODES: Final = 4  # places of a track that lie on the rope that it follows; where another one crosses there are fewer
 _MOST: Final = 0.6  # share of the image
 
 
@@ -271,26 +270,22 @@ class ClickNet(FollowingRule, kind="click_net"):
         """Look everywhere in a window, by the colours, and by the clicks where it still looks as it did there."""
         rgb = need(frame.rgb, "rgb", self)[window.slices]
         photo, places = Photo(rgb), np.array(self.picks).reshape(-1, 2) - (window.left, window.top)
-        inside = np.all((places >= 0) & (places <= (window.width - 1, window.height - 1)), axis=1)
-        there = Clicks.at(photo.lab, photo.here(places[inside]))
-        known = np.linalg.norm(there.colours[:, None] - np.array(self.object, np.float32), axis=2).min(axis=1) < _LIKE
-        on, off = self._clicks(there.places[known])
-        return _ropes_at(photo.probability(on, off) > HALF, rgb, places[inside][known].tolist(), [])
+        on, off, known = self._clicks(photo, places)
+        return _ropes_at(photo.probability(on, off) > HALF, rgb, places[known].tolist(), [])
 
     def threshold_near(self, frame: Frame, window: Window, expected: Expected) -> npt.NDArray[np.bool_]:
-        """Look around the nodes that are expected, once."""
-        rgb = need(frame.rgb, "rgb", self)
-        left, top = max(window.left - _CONTEXT, 0), max(window.top - _CONTEXT, 0)
-        seen = np.s_[top : window.top + window.height + _CONTEXT, left : window.left + window.width + _CONTEXT]
-        photo = Photo(rgb[seen], _PIXELS_NEAR)
-        before = cv2.resize(expected.mask[seen], photo.rgb.shape[1::-1], interpolation=cv2.INTER_AREA)
-        clicks = self._clicks(photo.here(expected.nodes - (left, top)))
-        found = photo.probability(*clicks, np.asarray(before, np.float32), passes=1)
-        part = found[window.top - top :, window.left - left :][: window.height, : window.width] > HALF
-        nodes = (expected.nodes - (window.left, window.top)).tolist()
-        return _ropes_at(np.ascontiguousarray(part), rgb[window.slices], nodes, [], least=_FEWEST_NODES)
+        """Look once around the places that are expected; those that look otherwise are not believed."""
+        rgb = need(frame.rgb, "rgb", self)[window.slices]
+        photo, places = Photo(rgb, _PIXELS_NEAR), expected.places - (window.left, window.top)
+        before = cv2.resize(expected.mask[window.slices], photo.rgb.shape[1::-1], interpolation=cv2.INTER_AREA)
+        on, off, known = self._clicks(photo, places)
+        found = photo.probability(on, off, np.asarray(before, np.float32), passes=1) > HALF
+        return _ropes_at(found, rgb, places[known].tolist(), [], least=_FEWEST_NODES)
 
-    def _clicks(self, places: npt.NDArray[np.float32]) -> tuple[Clicks, Clicks]:
-        """Return clicks of the colours that were clicked, at other places."""
-        colours = (np.array(each, np.float32).reshape(-1, 3) for each in (self.object, self.background))
-        return Clicks(places, next(colours)), Clicks(colours=next(colours))
+    def _clicks(self, photo: Photo, pixels: npt.NDArray[np.float64]) -> tuple[Clicks, Clicks, npt.NDArray[np.bool_]]:
+        """Return clicks of the colours that were clicked, at those pixels that look like one of them, and which do."""
+        on, off = (np.array(each, np.float32).reshape(-1, 3) for each in (self.object, self.background))
+        inside = np.all((pixels >= 0) & (pixels <= np.array(photo.size) - 1), axis=1)
+        here = Clicks.at(photo.lab, photo.here(pixels))
+        known = inside & (distances_of_colours(here.colours[None], on)[0][0] < _LIKE)
+        return Clicks(here.places[known], on), Clicks(colours=off), known

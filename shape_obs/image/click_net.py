@@ -78,10 +78,10 @@ def network_input(rgb: Image, lab: Array, on: Clicks, off: Clicks, previous: Arr
     """
     seen = np.zeros((CHANNELS, *rgb.shape[:2]), np.float32)
     seen[:3] = (rgb.astype(np.float32) / 128 - 1).transpose(2, 0, 1)
-    colour, hue = _distances_of_colours(lab, on.colours)
+    colour, hue = distances_of_colours(lab, on.colours)
     seen[3], seen[4], seen[5] = np.exp(-colour / _STRICT), np.exp(-colour / _LOOSE), np.exp(-hue / _STRICT)
     if len(off.colours):
-        seen[6] = np.exp(-_distances_of_colours(lab, off.colours)[0] / _AWAY)
+        seen[6] = np.exp(-distances_of_colours(lab, off.colours)[0] / _AWAY)
     if len(on.places):
         away = _distances_from(on.places, seen.shape[1:])
         seen[7], seen[8] = np.exp(-((away / _AT) ** 2)), np.exp(-away / _AROUND)
@@ -92,7 +92,7 @@ def network_input(rgb: Image, lab: Array, on: Clicks, off: Clicks, previous: Arr
     return seen
 
 
-def _distances_of_colours(lab: Array, colours: Array) -> tuple[Array, Array]:
+def distances_of_colours(lab: Array, colours: Array) -> tuple[Array, Array]:
     """Return the distance of each pixel's colour from the nearest of some colours, and the same without lightness."""
     nearest, nearest_hue = (np.full(lab.shape[:2], _FAR, np.float32) for _ in range(2))
     for colour in colours:
@@ -123,7 +123,7 @@ class Photo:
         height, width = rgb.shape[:2]
         ratio = min(1.0, math.sqrt(pixels / (height * width))) / _SIDES
         size = [max(round(side * ratio), 2) * _SIDES for side in (width, height)]
-        self._size, self._scale = (width, height), np.array(size) / (width, height)
+        self.size, self._scale = (width, height), np.array(size) / (width, height)
         self.rgb = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)  # (h, w, 3)
         self.lab = as_lab(self.rgb)
 
@@ -139,7 +139,7 @@ class Photo:
             with lock:  # a network holds the images between its layers
                 network.setInput(seen[None])
                 previous = 1 / (1 + np.exp(-np.asarray(network.forward(), np.float32)[0, 0]))
-        return np.asarray(cv2.resize(np.asarray(previous), self._size, interpolation=cv2.INTER_LINEAR), np.float32)
+        return np.asarray(cv2.resize(np.asarray(previous), self.size, interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 @lru_cache(maxsize=1)

@@ -150,11 +150,11 @@ class Expected(NamedTuple):
     """Where an object is expected in a frame.
 
     Args:
-        nodes: ``(K, 2)`` pixels.
+        places: ``(N, 2)`` pixels in it, of the frame before and as predicted; not all of them are right.
         mask: ``(H, W)`` uint8, 0 or 1, about where its pixels should be.
     """
 
-    nodes: npt.NDArray[np.float64]
+    places: npt.NDArray[np.float64]
     mask: npt.NDArray[np.uint8]
 
 

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from shape_obs.point_cloud.deprojection import SeenCloud
 
 _SPARE: Final = 8  # pixels around the place where a mask is expected
+_CONTEXT: Final = 32  # pixels around the window that a rule that follows the track sees
+_PLACES: Final = 24  # in an outline, about
+_RIM: Final = 7  # pixels of the square around a place in an outline that must be in it too
 
 
 class SearchWindow(NamedTuple):
@@ -117,7 +120,8 @@ class RegionSearch:
         if expected is None and near is None:
             self.tracks.pop(rule, None)
         elif expected is not None:
-            window, width = _clipped(expected.window, reach, whole), expected.width
+            spare = reach if near is None else _CONTEXT
+            window, width = _clipped(expected.window, spare, whole), expected.width
         if self.mask is None:
             assert rule is not None
             if rule.whole_image:
@@ -144,15 +148,14 @@ class RegionSearch:
         return self.masks[bare]
 
     def _expected(self, tracks: Iterable[Track | None]) -> Expected:
-        """Return where tracks expect their objects: their nodes, and the pixels around these."""
+        """Return where tracks expect their objects: where these were, and where they should be by now."""
         assert self.frame.size is not None
         mask, places = np.zeros(self.frame.size, np.uint8), []
         for track in filter(None, tracks):
-            nodes = track.nodes + track.interval * track.velocity  # (K, D)
-            if nodes.shape[1] == 3 and self.frame.camera is not None:
-                nodes = self.frame.camera.intrinsics.project(nodes)
-            draw_expected(mask, nodes, track)
-            places.append(nodes)
+            for nodes in (track.nodes, track.nodes + track.interval * track.velocity):  # (K, D)
+                if nodes.shape[1] == 3 and self.frame.camera is not None:
+                    nodes = self.frame.camera.intrinsics.project(nodes)
+                places.append(draw_expected(mask, nodes, track))
         return Expected(np.concatenate(places), mask)
 
     def cloud(self, rule: Segmentation | None) -> SeenCloud:
@@ -174,16 +177,26 @@ class RegionSearch:
         return True
 
 
-def draw_expected(mask: npt.NDArray[np.uint8], nodes: npt.NDArray[np.float64], track: Track) -> None:
-    """Draw a shape with nodes at ``(K, 2)`` pixels into a mask: a ribbon, an outline's inside, or a lattice's cells."""
+def draw_expected(
+    mask: npt.NDArray[np.uint8], nodes: npt.NDArray[np.float64], track: Track
+) -> npt.NDArray[np.float64]:
+    """Add a shape with nodes at ``(K, 2)`` pixels to a mask: a ribbon, an outline's inside, or a lattice's cells.
+
+    Returns:
+        Places in the object, ``(N, 2)`` pixels: the nodes, or what is inside an outline.
+    """
     ends = nodes[track.topology.edges()]  # (E, 2, 2)
     corners = np.round(16 * ends).astype(np.int32)
     if isinstance(track.topology, Ring):
-        cv2.fillPoly(mask, [np.ascontiguousarray(corners[:, 0])], (1,), shift=4)
-        return
+        inside = cv2.fillPoly(np.zeros_like(mask), [np.ascontiguousarray(corners[:, 0])], (1,), shift=4)
+        mask |= inside
+        step = max(math.isqrt(np.count_nonzero(inside) // _PLACES), 1)
+        rows = cv2.erode(inside, np.ones((_RIM, _RIM), np.uint8))[step // 2 :: step, step // 2 :: step]
+        return np.argwhere(rows)[:, ::-1].astype(np.float64) * step + step // 2
     long = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
     thick = track.width if isinstance(track.topology, Chain) and track.nodes.shape[1] == 2 else long
     cv2.polylines(mask, list(corners), False, (1,), max(round(thick), 1), shift=4)
+    return nodes
 
 
 @lru_cache(maxsize=16)
