@@ -42,7 +42,7 @@ _PLAUSIBLE: Final = Segmentation.min_area, Segmentation.min_share
 _GAP: Final = Gap(15.0, 1.0)  # as wide as what may hide a rope, such as a hand
 _LIKE: Final = 14.0  # distance to the colour of a click, see ``distances_of_colours``: it still looks the same there
 _PIXELS_NEAR: Final = 100_000  # of the surroundings of a track, as the network sees them: it looks at these once
-_FEWEST_NODES: Final = 4  # places of a track that lie on the rope that it follows; where another one crosses there are fewer
+_FEWEST: Final = 4  # places of a track on the rope that it follows; where another one crosses there are fewer
 _MOST: Final = 0.6  # share of the image
 
 
@@ -280,7 +280,7 @@ class ClickNet(FollowingRule, kind="click_net"):
         before = cv2.resize(expected.mask[window.slices], photo.rgb.shape[1::-1], interpolation=cv2.INTER_AREA)
         on, off, known = self._clicks(photo, places)
         found = photo.probability(on, off, np.asarray(before, np.float32), passes=1) > HALF
-        return _ropes_at(found, rgb, places[known].tolist(), [], least=_FEWEST_NODES)
+        return _ropes_at(found, rgb, places[known].tolist(), [], least=_FEWEST)
 
     def _clicks(self, photo: Photo, pixels: npt.NDArray[np.float64]) -> tuple[Clicks, Clicks, npt.NDArray[np.bool_]]:
         """Return clicks of the colours that were clicked, at those pixels that look like one of them, and which do."""

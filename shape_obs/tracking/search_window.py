@@ -177,9 +177,7 @@ class RegionSearch:
         return True
 
 
-def draw_expected(
-    mask: npt.NDArray[np.uint8], nodes: npt.NDArray[np.float64], track: Track
-) -> npt.NDArray[np.float64]:
+def draw_expected(mask: npt.NDArray[np.uint8], nodes: npt.NDArray[np.float64], track: Track) -> npt.NDArray[np.float64]:
     """Add a shape with nodes at ``(K, 2)`` pixels to a mask: a ribbon, an outline's inside, or a lattice's cells.
 
     Returns:
