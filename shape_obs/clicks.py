@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.frame import Frame, depth_in_metres
-from shape_obs.image.click_net import HALF, Clicks, Photo, Pixel, distances_of_colours, load_network
+from shape_obs.image.click_net import HALF, Clicks, Photo, Pixel, as_lab, distances_of_colours, load_network
 from shape_obs.image.clicked_colours import LIGHTS, ClickedColours, fit_rule
 from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
@@ -36,6 +36,8 @@ _AT: Final = 2  # pixels around a click that count as clicked
 _NEAR: Final = 3.0  # pixels by which the borders of two masks of one object may differ
 _DIFFERENT: Final = 0.05  # share of either of two masks of one object that may be farther from the other
 _ROPE: Final = 11.0  # times as long as it is wide; garments are up to 9 times
+_AROUND: Final = 5, 15  # pixels of the squares by which a mask grows to where its surroundings begin and end
+_CONTRAST: Final = 4.0  # distance in Lab of an object from its surroundings; drawn objects are 9 or more away
 _STEP: Final = 0.006, 0.015  # metres, and share of the distance: a change of depth that separates things
 _DEEP: Final = 0.03  # metres by which parts of one object lie before or behind others, beyond a step
 _PLAUSIBLE: Final = Segmentation.min_area, Segmentation.min_share
@@ -90,6 +92,8 @@ def propose_segmentation(
     if frame.depth is not None:
         there = cv2.resize(depth_in_metres(frame.depth), small.shape[1::-1], interpolation=cv2.INTER_NEAREST)
         seen = _at_one_depth(seen, np.asarray(there, np.float32), on_it)
+    elif _contrast(seen, small) < _CONTRAST:
+        seen = np.zeros_like(seen)  # a piece of the ground
     if not any(_near(seen, pick).any() for pick in on_it):
         raise ValueError(
             f"pick: nothing at {_listed(picks)} stands out from what is around it; click in the middle of the object."
@@ -132,6 +136,13 @@ def _reduced(rgb: Image, *clicks: Sequence[Pixel]) -> tuple[Image, Sequence[Pixe
     small = rgb if scale == 1 else np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
     on, off = ([(min(u * scale, size[0] - 1), min(v * scale, size[1] - 1)) for u, v in each] for each in clicks)
     return small, on, off
+
+
+def _contrast(seen: Mask, rgb: Image) -> float:
+    """Return the distance in Lab of the colour of a mask from that of what is around it."""
+    near, far = (cv2.dilate(seen.view(np.uint8), np.ones((side, side), np.uint8)) > 0 for side in _AROUND)
+    parts = [as_lab(rgb[part][None])[0] for part in (seen, far & ~near)]  # (K, 3)
+    return float(np.linalg.norm(np.subtract(*(np.median(part, axis=0) for part in parts)))) if parts[1].size else 0.0
 
 
 def _at_one_depth(seen: Mask, metres: npt.NDArray[np.float32], picks: Sequence[Pixel]) -> Mask:

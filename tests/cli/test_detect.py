@@ -123,7 +123,7 @@ def test_a_function_in_the_current_folder_segments(photo, run, monkeypatch):
     [
         ("rope.png", 2, "--config FILE, --hsv ..., --segmentation module:function or --pick"),
         ("rope.png --pick 900,5", 1, "pixel (900, 5) lies outside the image of 320 x 240"),
-        ("rope.png --pick 5,5", 1, "of the image looks like (5, 5)"),
+        ("rope.png --pick 5,5", 1, "nothing at (5, 5) stands out from what is around it"),
         ("rope.png HSV --depth a.png", 2, "--depth needs --intrinsics"),
         ("rope.png o/rope.png HSV", 2, "overlays/rope.png would be written twice"),
         ("rope.png HSV --count 0", 2, "count"),
