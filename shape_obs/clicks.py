@@ -39,6 +39,7 @@ _ROPE: Final = 11.0  # times as long as it is wide; garments are up to 9 times
 _AROUND: Final = 5, 15  # pixels of the squares by which a mask grows to where its surroundings begin and end
 _CONTRAST: Final = 4.0  # distance in Lab of an object from its surroundings; drawn objects are 9 or more away
 _STEP: Final = 0.006, 0.015  # metres, and share of the distance: a change of depth that separates things
+_FARTHEST: Final = 1e6  # metres, beyond all that is seen
 _DEEP: Final = 0.03  # metres by which parts of one object lie before or behind others, beyond a step
 _PLAUSIBLE: Final = Segmentation.min_area, Segmentation.min_share
 _GAP: Final = Gap(15.0, 1.0)  # as wide as what may hide a rope, such as a hand
@@ -80,10 +81,11 @@ def propose_segmentation(
             step, is not it.
 
     Raises:
-        TypeError: The image is none, see ``Frame``.
+        TypeError: The image is none, see ``Frame``, or a click is no pair of numbers.
         ValueError: A pixel lies outside the image, clicks contradict each other, or there is no object under them.
     """
     frame = Frame(rgb, depth)
+    picks, nots = _pixels("pick", picks), _pixels("not", nots)
     _check(frame.rgb, picks, nots)
     small, on_it, off_it = _reduced(rgb, picks, nots)
     photo = Photo(small)
@@ -99,11 +101,10 @@ def propose_segmentation(
             f"pick: nothing at {_listed(picks)} stands out from what is around it; click in the middle of the object."
         )
     mask, colours = _ropes_at(seen, small, on_it, off_it), fit_rule(small, seen)
-    record = _plain(picks), _plain(nots)
     if colours is not None and all(_is_same(_found(colours, _relit(small, gain)), mask) for gain in LIGHTS):
-        rule: Segmentation = replace(colours, picks=record[0], nots=record[1])
+        rule: Segmentation = replace(colours, picks=picks, nots=nots)
     else:
-        rule = ClickNet(picks=record[0], nots=record[1], object=_rows(on.colours), background=_rows(off.colours))
+        rule = ClickNet(picks=picks, nots=nots, object=_rows(on.colours), background=_rows(off.colours))
     if small is not rgb:
         mask = cv2.resize(mask.view(np.uint8), rgb.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
     if mask.mean() > _MOST:
@@ -114,6 +115,13 @@ def propose_segmentation(
     return Proposal(rule, mask, _explained(rule, mask, picks, nots))
 
 
+def _pixels(name: str, pixels: Sequence[Pixel]) -> tuple[Pixel, ...]:
+    try:
+        return tuple((float(u), float(v)) for u, v in pixels)
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"{name}: expected pixels [(u, v), ...], got {pixels!r:.80}.") from error
+
+
 def _check(rgb: Image | None, picks: Sequence[Pixel], nots: Sequence[Pixel]) -> None:
     height, width = (0, 0) if rgb is None else rgb.shape[:2]
     if min(height, width) < _SMALLEST:
@@ -122,7 +130,7 @@ def _check(rgb: Image | None, picks: Sequence[Pixel], nots: Sequence[Pixel]) -> 
     if not picks:
         raise ValueError("pick: expected at least one pixel on the object, got none.")
     for u, v in (*picks, *nots):
-        if not (0 <= round(u) < width and 0 <= round(v) < height):
+        if not (-0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5):
             raise ValueError(f"pick: pixel ({u:g}, {v:g}) lies outside the image of {width} x {height} pixels.")
     for pick, no in product(picks, nots):
         if math.dist(pick, no) <= _AT:
@@ -147,9 +155,10 @@ def _contrast(seen: Mask, rgb: Image) -> float:
 
 def _at_one_depth(seen: Mask, metres: npt.NDArray[np.float32], picks: Sequence[Pixel]) -> Mask:
     """Return the parts of a mask, cut at steps of depth, that lie about as far away as those that were clicked."""
-    far, near = (np.where(np.isfinite(metres), metres, side) for side in (-np.inf, np.inf))
+    far, near = (np.where(np.isfinite(metres), metres, side) for side in (0.0, _FARTHEST))
     step = cv2.dilate(far, np.ones((3, 3), np.uint8)) - cv2.erode(near, np.ones((3, 3), np.uint8))
-    count, labels = cv2.connectedComponents((seen & (step <= np.maximum(_STEP[0], _STEP[1] * near))).view(np.uint8))
+    even = np.isfinite(metres) & (step <= np.maximum(_STEP[0], _STEP[1] * near))
+    count, labels = cv2.connectedComponents((seen & even).view(np.uint8))
     parts = np.asarray(labels, np.intp)
     low, high = (np.full(count, side) for side in (np.inf, -np.inf))
     np.minimum.at(low, parts.ravel(), near.ravel())
@@ -212,20 +221,25 @@ def _is_same(one: Mask, other: Mask) -> bool:
     return not any(far) and bool(one.any())
 
 
-def _near(mask: Mask, pixel: Pixel) -> Mask:
+def _near(mask: npt.NDArray[Any], pixel: Pixel) -> npt.NDArray[Any]:
     u, v = round(pixel[0]), round(pixel[1])
     return mask[max(v - _AT, 0) : v + _AT + 1, max(u - _AT, 0) : u + _AT + 1]
 
 
 def _explained(rule: Segmentation, mask: Mask, picks: Sequence[Pixel], nots: Sequence[Pixel]) -> str:
     """Say what was found, how it is found from now on, and which clicks could not be obeyed."""
-    count = cv2.connectedComponents(mask.view(np.uint8), connectivity=8)[0] - 1
+    count, labels = cv2.connectedComponents(mask.view(np.uint8), connectivity=8)
+    clicked = {int(_near(np.asarray(labels), pick).max()) for pick in picks} - {0}
     lines = [
-        f"{np.count_nonzero(mask):,} pixels in {count} piece{'s' if count != 1 else ''} are the object's.",
+        f"{np.count_nonzero(mask):,} pixels in {count - 1} piece{'s' if count != 2 else ''} are the object's.",
         "Its colours find it in later frames."
         if isinstance(rule, ClickedColours)
         else "A network looks for it in each later frame: other things have its colours.",
     ]
+    if len(clicked) > 1:
+        lines.append(
+            f"Clicks lie in {len(clicked)} of the pieces; if they are two objects, click each in a run of its own."
+        )
     if missed := [pick for pick in picks if not _near(mask, pick).any()]:
         lines.append(f"{_listed(missed)} could not be added.")
     if wrong := [no for no in nots if _near(mask, no).all()]:
@@ -235,10 +249,6 @@ def _explained(rule: Segmentation, mask: Mask, picks: Sequence[Pixel], nots: Seq
 
 def _listed(pixels: Sequence[Pixel]) -> str:
     return ", ".join(f"({u:g}, {v:g})" for u, v in pixels)
-
-
-def _plain(pixels: Sequence[Pixel]) -> tuple[Pixel, ...]:
-    return tuple((float(u), float(v)) for u, v in pixels)
 
 
 def _rows(colours: npt.NDArray[np.float32]) -> tuple[tuple[float, float, float], ...]:

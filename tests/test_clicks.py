@@ -128,14 +128,36 @@ def test_depth_separates_what_has_one_colour():
     ("picks", "nots", "text"),
     [
         ([], [], "expected at least one pixel on the object, got none"),
+        ([(float("nan"), 5)], [], r"pixel \(nan, 5\) lies outside"),
         ([(900, 5)], [], r"pixel \(900, 5\) lies outside the image of 640 x 480"),
         ([(5, 5)], [(5, 900)], r"pixel \(5, 900\) lies outside"),
         ([(50, 50), (90, 90)], [(91, 90)], r"\(90, 90\) is given as on the object, and \(91, 90\) as off it"),
     ],
 )
-def test_bad_clicks(rope, picks, nots, text):
+def test_clicks_outside_the_image_or_against_each_other(rope, picks, nots, text):
     with pytest.raises(ValueError, match=text):
         propose_segmentation(rope.rgb, picks, nots)
+
+
+@pytest.mark.parametrize("picks", [(3.0, 4.0), [(1, 2, 3)], ["ab"], None])
+def test_clicks_that_are_no_pixels(rope, picks):
+    with pytest.raises(TypeError, match=r"pick: expected pixels \[\(u, v\), ...\], got"):
+        propose_segmentation(rope.rgb, picks)
+
+
+def test_clicks_of_other_number_types_mean_the_same(rope, pick, proposal):
+    found = propose_segmentation(rope.rgb, np.array([pick], np.int64)).rule
+    assert found == proposal.rule
+
+
+def test_clicks_on_two_objects_are_pointed_out(two_ropes):
+    text = propose_segmentation(two_ropes[0], [(160, 70), (160, 170)]).text
+    assert "Clicks lie in 2 of the pieces" in text
+
+
+def test_depth_that_is_unknown_changes_nothing(rope, pick, proposal):
+    for unknown in (np.zeros(rope.mask.shape, np.uint16), np.full(rope.mask.shape, np.nan, np.float32)):
+        assert np.array_equal(propose_segmentation(rope.rgb, [pick], depth=unknown).mask, proposal.mask)
 
 
 @pytest.mark.parametrize(
