@@ -36,6 +36,9 @@ _AT: Final = 2  # pixels around a click that count as clicked
 _NEAR: Final = 3.0  # pixels by which the borders of two masks of one object may differ
 _DIFFERENT: Final = 0.05  # share of either of two masks of one object that may be farther from the other
 _ROPE: Final = 11.0  # times as long as it is wide; garments are up to 9 times
+# How much colours add to the log odds of the network, and from where they are as sure as they can be; how often.
+_WEIGHT, _SURE, _ROUNDS = 0.5, 4.0, 2
+_NEVER: Final = 1e-4  # the probability that the network may well be wrong where it is sure
 _AROUND: Final = 5, 15  # pixels of the squares by which a mask grows to where its surroundings begin and end
 _CONTRAST: Final = 4.0  # distance in Lab of an object from its surroundings; drawn objects are 9 or more away
 _STEP: Final = 0.006, 0.015  # metres, and share of the distance: a change of depth that separates things
@@ -90,7 +93,7 @@ def propose_segmentation(
     small, on_it, off_it = _reduced(rgb, picks, nots)
     photo = Photo(small)
     on, off = (Clicks.at(photo.lab, photo.here(pixels)) for pixels in (on_it, off_it))
-    seen = photo.probability(on, off) > HALF
+    seen, colours = _with_colours(small, photo.probability(on, off))
     if frame.depth is not None:
         there = cv2.resize(depth_in_metres(frame.depth), small.shape[1::-1], interpolation=cv2.INTER_NEAREST)
         seen = _at_one_depth(seen, np.asarray(there, np.float32), on_it)
@@ -100,7 +103,7 @@ def propose_segmentation(
         raise ValueError(
             f"pick: nothing at {_listed(picks)} stands out from what is around it; click in the middle of the object."
         )
-    mask, colours = _ropes_at(seen, small, on_it, off_it), fit_rule(small, seen)
+    mask = _ropes_at(seen, small, on_it, off_it)
     if colours is not None and all(_is_same(_found(colours, _relit(small, gain)), mask) for gain in LIGHTS):
         rule: Segmentation = replace(colours, picks=picks, nots=nots)
     else:
@@ -144,6 +147,21 @@ def _reduced(rgb: Image, *clicks: Sequence[Pixel]) -> tuple[Image, Sequence[Pixe
     small = rgb if scale == 1 else np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
     on, off = ([(min(u * scale, size[0] - 1), min(v * scale, size[1] - 1)) for u, v in each] for each in clicks)
     return small, on, off
+
+
+def _with_colours(rgb: Image, probability: npt.NDArray[np.float32]) -> tuple[Mask, ClickedColours | None]:
+    """Return the mask that a probability and the colours fitted to that mask agree on, and the rule of these colours.
+
+    Log odds are added, those of colours at less weight: pixels of one colour do not tell independently. The network
+    sees shapes, at a lower resolution; the colours draw borders and thin lines more sharply.
+    """
+    p = np.clip(probability, _NEVER, 1 - _NEVER)
+    odds, seen, rule = np.log(p / (1 - p)), probability > HALF, None
+    for _ in range(_ROUNDS):
+        rule = fit_rule(rgb, seen)
+        if rule is not None:
+            seen = odds + _WEIGHT * np.clip(rule.log_odds(rgb), -_SURE, _SURE) > 0
+    return seen, rule
 
 
 def _contrast(seen: Mask, rgb: Image) -> float:

@@ -106,7 +106,11 @@ class ClickedColours(ColourRule, kind="click"):
 
     def matches(self, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
         """Return the mask of an image: ``(h, w, 3)`` uint8 -> ``(h, w)`` bool."""
-        return _odds_table(self.object, self.background)[cells_of(rgb)] > self.strictness
+        return self.log_odds(rgb) > 0
+
+    def log_odds(self, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+        """Return how far each pixel's colour is above the strictness, ``(h, w)``, natural log; -inf: impossible."""
+        return _odds_table(self.object, self.background)[cells_of(rgb)] - np.float32(self.strictness)
 
 
 def fit_rule(rgb: npt.NDArray[np.uint8], mask: npt.NDArray[np.bool_]) -> ClickedColours | None:
