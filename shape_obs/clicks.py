@@ -30,6 +30,7 @@ from shape_obs.spec import SpecError
 
 Image = npt.NDArray[np.uint8]
 Mask = npt.NDArray[np.bool_]
+Pixels = Sequence[Pixel] | npt.NDArray[Any]
 
 _SMALLEST, _LARGEST = 32, 960  # pixels of a photo's sides: smaller ones show nothing, larger ones are reduced
 _AT: Final = 2  # pixels around a click that count as clicked
@@ -68,7 +69,7 @@ class Proposal:
 
 
 def propose_segmentation(
-    rgb: Image, picks: Sequence[Pixel], nots: Sequence[Pixel] = (), depth: npt.NDArray[Any] | None = None
+    rgb: Image, picks: Pixels, nots: Pixels = (), depth: npt.NDArray[Any] | None = None
 ) -> Proposal:
     """Propose the segmentation of the object under some pixels.
 
@@ -118,7 +119,7 @@ def propose_segmentation(
     return Proposal(rule, mask, _explained(rule, mask, picks, nots))
 
 
-def _pixels(name: str, pixels: Sequence[Pixel]) -> tuple[Pixel, ...]:
+def _pixels(name: str, pixels: Pixels) -> tuple[Pixel, ...]:
     try:
         return tuple((float(u), float(v)) for u, v in pixels)
     except (TypeError, ValueError) as error:
@@ -152,7 +153,7 @@ def _reduced(rgb: Image, *clicks: Sequence[Pixel]) -> tuple[Image, Sequence[Pixe
 def _with_colours(rgb: Image, probability: npt.NDArray[np.float32]) -> tuple[Mask, ClickedColours | None]:
     """Return the mask that a probability and the colours fitted to that mask agree on, and the rule of these colours.
 
-    Log odds are added, those of colours at less weight: pixels of one colour do not tell independently. The network
+    Log odds are added, those of colours at less weight: pixels of one colour are not independent. The network
     sees shapes, at a lower resolution; the colours draw borders and thin lines more sharply.
     """
     p = np.clip(probability, _NEVER, 1 - _NEVER)

@@ -183,7 +183,7 @@ def _expected(rng: Random, mask: Array, kind: str) -> Array:
 
     A track that follows what the network answered to it must not be believed by the network: its errors would stay.
     """
-    if kind != "rope" and rng.random() < 0.6:  # a track of an outline knows no holes
+    if kind != "rope" and rng.random() < 0.6:  # a track of an outline has no holes
         contours = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
         mask = cv2.drawContours(np.zeros_like(mask), contours, -1, 1, cv2.FILLED)
     matrix = cv2.getRotationMatrix2D((WIDTH / 2, HEIGHT / 2), rng.normal(0, 2), 1 + rng.normal(0, 0.015))
@@ -193,9 +193,9 @@ def _expected(rng: Random, mask: Array, kind: str) -> Array:
     direction, point = rng.standard_normal(2), np.argwhere(mask)[rng.integers(np.count_nonzero(mask)), ::-1]
     beyond = (grid[..., :2] - point) @ (direction / np.linalg.norm(direction))  # pixels, on one side of a line
     source = grid @ matrix.T + bend * rng.uniform(0, 4)
-    if rng.random() < 0.4:  # on one side of a line the track has gone astray
-        astray = rng.normal(0, 20, 2) + bend * rng.uniform(0, 25)
-        source += astray * np.clip(beyond / rng.uniform(10, 60), 0, 1)[..., None]
+    if rng.random() < 0.4:  # on one side of a line the track is wrong
+        shift = rng.normal(0, 20, 2) + bend * rng.uniform(0, 25)
+        source += shift * np.clip(beyond / rng.uniform(10, 60), 0, 1)[..., None]
     source = source.astype(np.float32)
     moved, change = cv2.remap(mask, source[..., 0], source[..., 1], cv2.INTER_NEAREST), rng.random()
     if change < 0.4:

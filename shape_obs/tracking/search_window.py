@@ -186,7 +186,8 @@ def draw_expected(mask: npt.NDArray[np.uint8], nodes: npt.NDArray[np.float64], t
     ends = nodes[track.topology.edges()]  # (E, 2, 2)
     corners = np.round(16 * ends).astype(np.int32)
     if isinstance(track.topology, Ring):
-        inside = cv2.fillPoly(np.zeros_like(mask), [np.ascontiguousarray(corners[:, 0])], (1,), shift=4)
+        inside = np.zeros_like(mask)
+        cv2.fillPoly(inside, [np.ascontiguousarray(corners[:, 0])], (1,), shift=4)
         mask |= inside
         step = max(math.isqrt(np.count_nonzero(inside) // _PLACES), 1)
         rows = cv2.erode(inside, np.ones((_RIM, _RIM), np.uint8))[step // 2 :: step, step // 2 :: step]
