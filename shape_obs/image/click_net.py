@@ -35,7 +35,7 @@ _OF_LIGHT: Final = 0.5  # weight of squared differences of lightness: light and 
 _AT, _AROUND = 3.0, 30.0  # pixels from a click at which it falls to 1/e: the place itself, and its surroundings
 _FAR: Final = 1e4  # a squared distance in Lab above all that occur
 _FILE: Final = "click_net.onnx"
-_SHA256: Final = "8423d93ade4a52a87d00d8e0b0352b604236a8b01cd3d5251285a8a2caedc2f0"
+_SHA256: Final = "cb0b37b26dbc40c6c0b1f9ae01a55aae6cb9d7a75494079e49f4e30ab40c185f"
 
 
 class Clicks(NamedTuple):
