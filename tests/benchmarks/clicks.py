@@ -296,7 +296,7 @@ _COLUMNS: Final = {
 }  # fmt: skip
 # At least so many percent of the photos are right after one click, and after three.
 _RIGHT: Final = (("ropes and wires", 85, 95), ("sheets and rings", 90, 97), ("colour of their own", 100, 100))
-_TRAINED: Final = "trained for 146 of 240 minutes; ropes of one colour that cross, dark or striped things"
+_TRAINED: Final = "146 of 240 minutes of training"
 _LIKE_HUES: Final = "as fast as a range of hues, see clicks.time; beside another process"
 CLAIMS: Final = (
     Claim(
