@@ -256,9 +256,7 @@ def _explained(rule: Segmentation, mask: Mask, picks: Sequence[Pixel], nots: Seq
         else "A network looks for it in each later frame: other things have its colours.",
     ]
     if len(clicked) > 1:
-        lines.append(
-            f"Clicks lie in {len(clicked)} of the pieces; if they are two objects, click each in a run of its own."
-        )
+        lines.append(f"Clicks lie in {len(clicked)} of the pieces; if they are two objects, click each separately.")
     if missed := [pick for pick in picks if not _near(mask, pick).any()]:
         lines.append(f"{_listed(missed)} could not be added.")
     if wrong := [no for no in nots if _near(mask, no).all()]:

@@ -297,7 +297,7 @@ _COLUMNS: Final = {
 # At least so many percent of the photos are right after one click, and after three.
 _RIGHT: Final = (("ropes and wires", 85, 95), ("sheets and rings", 90, 97), ("colour of their own", 100, 100))
 _TRAINED: Final = "146 of 240 minutes of training"
-_LIKE_HUES: Final = "as fast as a range of hues, see clicks.time; beside another process"
+_LIKE_HUES: Final = "as fast as a range of hues, see clicks.time; with another process running"
 CLAIMS: Final = (
     Claim(
         "clicks.photos", "Photos of which the mask is right after one, two and three clicks, and by other methods.",
