@@ -98,6 +98,7 @@ def propose_segmentation(
     if frame.depth is not None:
         there = cv2.resize(depth_in_metres(frame.depth), small.shape[1::-1], interpolation=cv2.INTER_NEAREST)
         seen = _at_one_depth(seen, np.asarray(there, np.float32), on_it)
+        colours = fit_rule(small, seen)  # what lies at another depth is not the object's
     elif _contrast(seen, small) < _CONTRAST:
         seen = np.zeros_like(seen)  # a piece of the ground
     if not any(_near(seen, pick).any() for pick in on_it):

@@ -166,8 +166,8 @@ def _cloth(rng: np.random.Generator, size: Size) -> Picture:
     base = _one_of(rng, "c9c0b2 5d6b80 8a4f4a 404348 d9d4c9 6f7a5c b08d6a 2e3950 9a9aa2")
     thread = rng.uniform(4, 10)
     along_u = (np.floor(u / thread) + np.floor(v / thread)) % 2 > 0  # the thread on top
-    relief = rng.uniform(0.1, 0.3) * (np.abs(np.sin(np.pi * np.where(along_u, u, v) / thread)) - 0.5)[..., None]
-    picture = base * np.exp(relief + rng.uniform(0.03, 0.18) * grain(rng, size, (240, 130)))
+    bumps = rng.uniform(0.1, 0.3) * (np.abs(np.sin(np.pi * np.where(along_u, u, v) / thread)) - 0.5)[..., None]
+    picture = base * np.exp(bumps + rng.uniform(0.03, 0.18) * grain(rng, size, (240, 130)))
     if rng.random() < 0.35:  # plaid
         other, pitch = _one_of(rng, "e8e4da 2a2d38 7a3038 34506e c8a860"), rng.uniform(90, 260)
         for coordinate in (u, v):

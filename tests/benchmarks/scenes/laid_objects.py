@@ -129,20 +129,20 @@ class Pile:
         start = np.floor(sheet.rest.min(axis=0) * FINER)
         moved, _ = cv2.estimateAffine2D(sheet.rest * FINER - start, sheet.outline * FINER - origin)
         surface = _sheet_surface(sheet.look, sheet.rest * FINER - start)
-        albedo, relief = (cv2.warpAffine(e, moved, (width, height), borderMode=cv2.BORDER_REFLECT) for e in surface)
-        relief *= np.float32(sheet.look.wrinkles)
+        albedo, bumps = (cv2.warpAffine(e, moved, (width, height), borderMode=cv2.BORDER_REFLECT) for e in surface)
+        bumps *= np.float32(sheet.look.wrinkles)
         for outline, thick, back in [(sheet.outline, sheet.thick, 1.0), *flap]:
             shape = np.zeros((height, width), np.uint8)
             cv2.fillPoly(shape, [np.round((outline * FINER - origin) * 16).astype(np.int32)], (1,), shift=4)
             inside = np.asarray(cv2.distanceTransform(np.pad(shape, 1), cv2.DIST_L2, 3))[1:-1, 1:-1]
             on, edge = shape > 0, np.clip(inside / 5, 0, 1)
             hem = 1 - 0.18 * (np.abs(inside - 13) < 1.3) * (sheet.look.wrinkles > 0)
-            bump = cv2.GaussianBlur(edge, (0, 0), 1.5) * 2 + relief
+            bump = cv2.GaussianBlur(edge, (0, 0), 1.5) * 2 + bumps
             right, down = (cv2.filter2D(bump, -1, tap) for tap in (_SLOPE, _SLOPE.T))
             long = np.sqrt(1 + right**2 + down**2)
             self.albedo[box][on] = (albedo * (hem * back).astype(np.float32)[..., None])[on]
             self.slope[box][on] = np.stack([-right / long, -down / long], axis=-1)[on]
-            self.height[box][on] += (thick * np.maximum(edge, 0.3) + np.maximum(relief, 0))[on]
+            self.height[box][on] += (thick * np.maximum(edge, 0.3) + np.maximum(bumps, 0))[on]
             self.owner[box][on], self.gloss[box][on] = owner, sheet.look.gloss
             self.covered[box][on] |= 1 << owner if owner < SLEEVE else 0
 
@@ -205,7 +205,7 @@ def _strand_surface(look: Look, along: Array | Field, across: Field, width: floa
 
 
 def _sheet_surface(look: Look, outline: Array) -> tuple[Field, Field]:
-    """Return the reflectance ``(h, w, 3)`` of the box around a sheet, and its relief ``(h, w)`` for a slope of 1."""
+    """Return the reflectance ``(h, w, 3)`` of the box around a sheet, and its bumps ``(h, w)`` for a slope of 1."""
     rng, high = np.random.default_rng(look.seed), outline.max(axis=0)
     size = int(high[1]) + 1, int(high[0]) + 1
     a, b = raster(rng, size, 0.5)
@@ -228,10 +228,10 @@ def _sheet_surface(look: Look, outline: Array) -> tuple[Field, Field]:
         mix = ((line > 0.45) & (line < 0.75) & (word > 0.25) & (np.sin(a * 1.3) > -0.4)) * 0.75
     weave = np.exp(0.03 * grain(rng, size, (2, 2)))
     albedo = (look.colour + (look.second - look.colour) * mix[..., None]) * weave
-    relief = np.zeros(size, np.float32)
+    bumps = np.zeros(size, np.float32)
     if look.wrinkles > 0:
         for long, wide, high_ in ((420, 90, 26.0), (160, 34, 11.0), (50, 22, 3.0)):
             turned = cv2.getRotationMatrix2D((size[1] / 2, size[0] / 2), rng.uniform(0, 180), 1.7)
             folds = grain(rng, size, (long, wide))[..., 0] * np.float32(high_)
-            relief += cv2.warpAffine(folds, turned, size[::-1], borderMode=cv2.BORDER_REFLECT)
-    return np.asarray(albedo, np.float32), relief
+            bumps += cv2.warpAffine(folds, turned, size[::-1], borderMode=cv2.BORDER_REFLECT)
+    return np.asarray(albedo, np.float32), bumps
