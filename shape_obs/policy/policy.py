@@ -1,0 +1,373 @@
+"""Load a policy, and run it: on observations, in another environment, or in the deployment loop."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import warnings
+import zipfile
+import zlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import onnxruntime
+from onnxruntime.capi import onnxruntime_pybind11_state as pybind
+
+from shape_obs.config.config_file import SCENE_FIELDS, SECTIONS
+from shape_obs.config.detector_config import ALGORITHM
+from shape_obs.configurations.base import Configuration
+from shape_obs.features import Points3D
+from shape_obs.policy import graph_check
+from shape_obs.policy.contract import Contract, Difference, PolicyError, Tensor, differences, format_differences, surroundings
+from shape_obs.robot import ActionSpec
+from shape_obs.utils.arrays import decode_npz
+from shape_obs.utils.documents import parse_yaml
+from shape_obs.wrappers import ShapeGoal, ShapeObservation, env_protocol
+
+if TYPE_CHECKING:
+    import gymnasium as gym
+
+Array = npt.NDArray[Any]
+NETWORK, CONTRACT, REPLAY = "policy.onnx", "policy.yaml", "replay.npz"
+_MOST_BYTES: Final = {NETWORK: graph_check.MOST_BYTES, CONTRACT: 1 << 20, REPLAY: 64 << 20}
+_LEAST_REPLAYED: Final = 32
+_MOST_REPLAYED: Final = 1024
+#: Largest difference of a replayed action, as a share of the range of actions: processors round differently.
+TOLERANCE: Final = 1e-4
+#: What onnxruntime raises for networks that it cannot build or run.
+_FAILED: Final = (
+    RuntimeError, ValueError, TypeError, MemoryError,
+    *(kind for kind in vars(pybind).values() if isinstance(kind, type) and issubclass(kind, Exception)),
+)  # fmt: skip
+
+
+def load_policy(path: str | os.PathLike[str]) -> Policy:
+    """Read a policy that ``save_policy`` wrote; no code from the file runs, now or later.
+
+    The recorded observations are replayed: the network must return the actions that the learner computed for them.
+
+    Args:
+        path: The folder, or a zip file of it.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        PolicyError: The file is not a policy, is damaged or changed, or too large, its network may do more than
+            compute, its features have another meaning here, or its actions are not those of the learner.
+
+    Warns:
+        UserWarning: The detector's algorithm has another version than in training.
+
+    Example:
+        >>> action = load_policy("cable.policy").act(observation)  # doctest: +SKIP
+    """
+    try:
+        policy = policy_from(_read(Path(path)))
+    except PolicyError as error:
+        raise PolicyError(f"{path}: {error}") from error
+    trained = policy.spec.detector_version
+    if policy.spec.config is not None and trained != ALGORITHM:
+        warnings.warn(
+            f"{path}: it was trained on the points of version {trained} of the detector's algorithm, this is version "
+            f"{ALGORITHM}: equal images may give slightly other points. Evaluate it again before use.",
+            UserWarning,
+            stacklevel=2,
+        )
+    return policy
+
+
+def policy_from(members: Mapping[str, bytes]) -> Policy:
+    """Create a policy from the content of its three files, after checking each; ``load_policy`` lists what is refused."""
+    try:
+        described = parse_yaml(members[CONTRACT], CONTRACT)
+        spec = Contract.from_dict(described)
+        spec.check_config()
+    except PolicyError:
+        raise
+    except (ValueError, TypeError, KeyError, AttributeError, ArithmeticError) as error:
+        raise PolicyError(f"{CONTRACT} cannot be understood: {str(error):.500}") from error
+    for name in (NETWORK, REPLAY):
+        if spec.sha256.get(name) != hashlib.sha256(members[name]).hexdigest():
+            raise PolicyError(f"{name} was changed, or is damaged: its SHA-256 is not the recorded one. Copy it again.")
+    policy = Policy(spec, members[NETWORK])
+    try:
+        replay = decode_npz(members[REPLAY], REPLAY, most_bytes=_MOST_BYTES[REPLAY])
+    except ValueError as error:
+        raise PolicyError(str(error)) from error
+    policy.check_replay(replay)
+    return policy
+
+
+def _read(path: Path) -> dict[str, bytes]:
+    """Return the content of the three files of a policy."""
+    if path.is_dir():
+        missing = [name for name in _MOST_BYTES if not (path / name).is_file()]
+        if missing:
+            raise PolicyError(f"expected a policy as save_policy writes it; there is no {missing[0]}.")
+        sizes = {name: (path / name).stat().st_size for name in _MOST_BYTES}
+        _check_sizes(sizes)
+        return {name: (path / name).read_bytes() for name in _MOST_BYTES}
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such policy")
+    if path.stat().st_size > sum(_MOST_BYTES.values()):
+        raise PolicyError(f"expected a file of at most {sum(_MOST_BYTES.values())} bytes.")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+            if sorted(names) != sorted(_MOST_BYTES):
+                raise PolicyError(f"expected a zip of {', '.join(_MOST_BYTES)}, got {', '.join(sorted(names))[:200]!r}.")
+            _check_sizes({info.filename: info.file_size for info in archive.infolist()})
+            return {name: archive.read(name) for name in names}
+    except PolicyError:
+        raise
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, OSError) as error:
+        raise PolicyError(f"not a policy, or a damaged one: {error}. Copy it again.") from error
+
+
+def _check_sizes(sizes: Mapping[str, int]) -> None:
+    for name, size in sizes.items():
+        if size > _MOST_BYTES[name]:
+            raise PolicyError(f"{name}: expected at most {_MOST_BYTES[name]} bytes, got {size}.")
+
+
+class Policy:
+    """A trained policy; ``load_policy`` returns it. It is a ``Controller`` for ``shape_obs.deploy.deploy``.
+
+    It can act but not be trained further: keep the learner's own checkpoint for that.
+
+    Args:
+        spec: Description of the policy.
+        network: Content of ``policy.onnx``.
+
+    Attributes:
+        spec: As given.
+        same_rate: Whether ``attach`` refuses a loop whose rate differs from that of the training.
+    """
+
+    spec: Contract
+    same_rate: bool = True
+
+    def __init__(self, spec: Contract, network: bytes) -> None:
+        self.spec = spec
+        model = graph_check.check_graph(network)
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.log_severity_level = 4
+        try:
+            self._session = onnxruntime.InferenceSession(
+                model.SerializeToString(), options, providers=["CPUExecutionProvider"]
+            )
+        except _FAILED as error:
+            raise PolicyError(f"{NETWORK}: onnxruntime cannot run it: {str(error):.300}") from error
+        self._check_interface()
+        self._outputs = [spec.output, *(state["output"] for state in spec.states.values())]
+        self._tensors = list(spec.tensors.items())
+        self.reset()
+
+    @property
+    def action_spec(self) -> ActionSpec | None:
+        """Meaning of its actions; ``shape_obs.deploy.deploy`` compares it with the robot's. None if unknown."""
+        return self.spec.action_spec
+
+    def reset(self) -> None:
+        """Start an episode: forget earlier observations, if the policy remembers any."""
+        states = {name: Tensor.from_dict(state) for name, state in self.spec.states.items()}
+        self._states = {name: np.zeros(state.shape, state.dtype) for name, state in states.items()}
+
+    def act(self, observation: Any, action_mask: npt.ArrayLike | None = None) -> Any:
+        """Return the deterministic action for an observation.
+
+        Args:
+            observation: Observation as in training: an array, or arrays by key.
+            action_mask: Of a policy that was trained with masks: True for each action that is allowed.
+
+        Raises:
+            PolicyError: The observation has other keys or shapes, a mask is missing, or the action is not finite.
+        """
+        feed = dict(self._states)
+        for name, tensor in self._tensors:
+            value = observation[tensor.key] if tensor.key else observation
+            array = np.asarray(value, tensor.dtype)
+            if array.shape != tensor.shape:
+                where = f"observation {tensor.key!r}" if tensor.key else "observation"
+                raise PolicyError(f"{where}: expected shape {tensor.shape} as in training, got {array.shape}.")
+            feed[name] = array[None]
+        if (action_mask is None) != (self.spec.mask is None):
+            raise PolicyError(f"action_mask: expected {self.spec.mask or 'no'} values, as in training.")
+        if action_mask is not None:
+            feed["action_mask"] = np.asarray(action_mask, bool).reshape(1, -1)
+        try:
+            action, *states = self._session.run(self._outputs, feed)
+        except _FAILED as error:
+            raise PolicyError(f"the network failed: {str(error):.300}") from error
+        self._states = dict(zip(self._states, states, strict=True))
+        action = action[0]
+        if not np.isfinite(action).all():
+            raise PolicyError("the policy returned an action that is not finite.")
+        return action
+
+    def check_replay(self, replay: Mapping[str, Array]) -> None:
+        """Refuse a policy whose actions differ from those that the learner computed.
+
+        Args:
+            replay: Arrays of T steps: ``observation`` or ``observation/KEY`` for each key, ``action``, ``start`` (True
+                where an episode starts) and, if the policy has masks, ``mask``.
+
+        Raises:
+            PolicyError: An array is missing or has another shape, or an action differs.
+        """
+        keys = {tensor.key: f"observation/{tensor.key}" if tensor.key else "observation" for _, tensor in self._tensors}
+        needed = [*keys.values(), "action", "start", *(["mask"] if self.spec.mask else [])]
+        steps = {len(replay[name]) if name in replay and replay[name].ndim else 0 for name in needed}
+        count = min(steps)
+        if len(steps) > 1 or not _LEAST_REPLAYED <= count <= _MOST_REPLAYED:
+            raise PolicyError(f"{REPLAY}: expected {_LEAST_REPLAYED} to {_MOST_REPLAYED} steps of {', '.join(needed)}.")
+        for i in range(count):
+            if replay["start"][i]:
+                self.reset()
+            seen = replay["observation"][i] if "" in keys else {key: replay[name][i] for key, name in keys.items()}
+            action = self.act(seen, replay["mask"][i] if self.spec.mask else None)
+            difference = action_difference(self.spec, action, replay["action"][i])
+            if not difference <= TOLERANCE:
+                raise PolicyError(
+                    f"the network does not compute what the learner did: action {i} of {count} differs by {difference:.2g} "
+                    "of its range."
+                )
+        self.reset()
+
+    def _check_interface(self) -> None:
+        """Refuse a network with other inputs or outputs than the contract describes."""
+        found = {value.name: tuple(value.shape) for value in self._session.get_inputs()}
+        wanted = {name: (1, *tensor.shape) for name, tensor in self.spec.tensors.items()}
+        wanted |= {name: tuple(state["shape"]) for name, state in self.spec.states.items()}
+        wanted |= {"action_mask": (1, self.spec.mask)} if self.spec.mask else {}
+        if found != wanted:
+            raise PolicyError(f"{NETWORK}: expected the inputs {wanted}, got {found}.")
+        outputs = {value.name: tuple(value.shape) for value in self._session.get_outputs()}
+        wanted = {self.spec.output: (1, *self.spec.action_tensor.shape)}
+        wanted |= {state["output"]: tuple(state["shape"]) for state in self.spec.states.values()}
+        if any(outputs.get(name) != shape for name, shape in wanted.items()):
+            raise PolicyError(f"{NETWORK}: expected the outputs {wanted}, got {outputs}.")
+
+    # ---- Other environments
+
+    def wrap(self, env: gym.Env[Any, Any], goal: Any = None, scene: Mapping[str, Any] | None = None) -> gym.Env[Any, Any]:
+        """Wrap an environment, usually a camera and a robot, so that the policy can read its observations.
+
+        If the environment of the training had its own goals, a ``ShapeGoal`` provides them here.
+
+        Args:
+            env: Environment with images and a camera, and without goals.
+            goal: Goal, as for ``ShapeGoal``; None if the goal is given at each reset, or the policy has no goals.
+            scene: Arguments of ``ShapeObservation`` that are specific to this site: ``segmentation``, ``roi``,
+                ``workspace``, and the ``runtime`` section.
+
+        Raises:
+            PolicyError: The policy cannot run with a camera, or was given a goal but has none.
+            ValueError: The environment or the scene do not fit.
+        """
+        self.check_deployable()
+        self._check_place(env)
+        if goal is not None and not self.spec.needs_goal:
+            raise PolicyError("the policy was trained without goals, so it cannot be given one.")
+        config = dict(self.spec.config or {})
+        shape = {name: config[name] for name in SECTIONS["shape"] if name in config}
+        running = {name: config[name] for name in SECTIONS["runtime"] if name in config and name != "dt"}
+        published = env_protocol.published(env, "shape_obs_defaults", {})
+        known = {name: published[name] for name in ("shapes", *SECTIONS["scene"]) if name in published}
+        local = {"workspace": config.get("workspace"), **running, **known, **(scene or {})}
+        source = ShapeObservation(env, **{**local, **_site_fields(shape, local)})
+        wrapped: Any = source
+        if self.spec.needs_goal and all(wrapper["name"] != "ShapeGoal" for wrapper in self.spec.wrappers):
+            points = next((feature for feature in self.spec.features if isinstance(feature, Points3D)), None)
+            if points is None:
+                raise PolicyError("the policy has goals of points in metres, but it reads no feature 'points3d'.")
+            size = next(tensor.shape[0] for _, tensor in self._tensors if tensor.key == "desired_goal")
+            names, reached = _first_shapes(source.detector.shapes, size), self.spec.success_threshold or 0.01
+            wrapped = ShapeGoal(wrapped, goal, [points], shape=names, reward_type="sparse", threshold=reached)
+        for wrapper in self.spec.wrappers:
+            arguments = dict(wrapper.get("kwargs") or {})
+            if wrapper["name"] == "ShapeGoal":
+                wrapped = ShapeGoal(wrapped, **{**arguments, **({} if goal is None else {"goal": goal})})
+            else:
+                from shape_obs.training.point_reward import PointReward
+
+                wrapped = PointReward(wrapped, **arguments)
+        return wrapped
+
+    def differences(self, env: gym.Env[Any, Any], *, same_rate: bool = True) -> list[Difference]:
+        """Return the differences that ``check_env`` refuses, as (place, trained, here)."""
+        return differences(self.spec, surroundings(env), same_rate=same_rate)
+
+    def check_env(self, env: gym.Env[Any, Any], *, same_rate: bool = True) -> None:
+        """Refuse an environment whose observations or actions differ from those of the training.
+
+        Colours, regions of interest, workspaces and the pose of the camera may differ.
+
+        Raises:
+            PolicyError: The environment differs. The message names each difference.
+        """
+        found = self.differences(env, same_rate=same_rate)
+        if found:
+            raise PolicyError(f"the policy does not fit this environment: {format_differences(found)}.")
+
+    def check_deployable(self) -> None:
+        """Refuse a policy that cannot run with a camera.
+
+        Raises:
+            PolicyError: The policy reads values that only a simulator has, or was saved without ``action_spec``.
+        """
+        reason = self.spec.obstacle
+        if not reason and self.action_spec is None:
+            reason = "it was saved without action_spec, the meaning of its actions: save it with action_spec="
+        if reason:
+            raise PolicyError(f"the policy cannot be deployed: {reason}.")
+
+    def attach(self, env: Any) -> None:
+        """Compare the environment with that of the training; raises ``PolicyError`` if they differ."""
+        self.check_env(env, same_rate=self.same_rate)
+
+    def bind(self, spec: ActionSpec) -> None:
+        """Do nothing: the actions have the size of the training."""
+
+    def _check_place(self, env: gym.Env[Any, Any]) -> None:
+        """Refuse features in the base frame if the camera has no extrinsics."""
+        for feature in self.spec.features:
+            in_base = getattr(getattr(feature, "coordinates", None), "frame", None) == "base"
+            camera = env_protocol.camera_model(env) if in_base else None
+            if in_base and (camera is None or camera.transform_camera_to_base is None):
+                raise PolicyError(
+                    f"the policy reads {feature.kind!r} in the base frame, but this camera has no extrinsics: give "
+                    "--extrinsics FILE, as `shape-obs calibrate base` writes it."
+                )
+
+
+def action_difference(spec: Contract, action: npt.ArrayLike, other: npt.ArrayLike) -> float:
+    """Return the largest difference of two actions, as a share of the range; 1 if discrete actions differ."""
+    one, two = np.asarray(action), np.asarray(other)
+    if one.shape != two.shape:
+        return np.inf
+    if spec.action["kind"] != "box":
+        return float(np.any(one != two))
+    low, high = (np.reshape(np.asarray(spec.action[name], np.float64), one.shape) for name in ("low", "high"))
+    span = np.where(np.isfinite(high - low), high - low, 2 * np.maximum(1, np.abs(two)))
+    return float(np.max(np.abs(one.astype(np.float64) - two) / span, initial=0))
+
+
+def _first_shapes(shapes: Sequence[Configuration], size: int) -> list[str]:
+    """Return the names of as many shapes, from the first on, as have ``size`` coordinates together; at least one."""
+    ends = np.cumsum([3 * shape.layout.size for shape in shapes]).tolist()
+    return [shape.name for shape, end in zip(shapes, ends, strict=True) if end <= size] or [shapes[0].name]
+
+
+def _site_fields(shape: Mapping[str, Any], scene: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the ``shape`` section with this site's segmentation and length of each shape, found by its name."""
+    here = [item for item in scene.get("shapes") or () if isinstance(item, Mapping)]
+    local = {item.get("name") or item.get("kind"): item for item in here}
+    shapes = [
+        {**item, **{name: local.get(item["name"], {}).get(name) for name in SCENE_FIELDS if name in item}}
+        for item in shape["shapes"]
+    ]
+    return {**shape, "shapes": shapes}
