@@ -118,7 +118,7 @@ def _stacked(wrapper: gym.wrappers.FrameStackObservation) -> Stage:
             old = torch.where(started.reshape((1,) * old.dim()) > 0, old, first)
             stacks[key] = torch.cat([old[:, 1:], value[:, None]], dim=1)
         following = {f"frames_{key}": stack for key, stack in stacks.items()}
-        return stacks, {**following, _FILLED: torch.ones_like(started)}
+        return stacks, {**following, _FILLED: torch.clamp(started + 1, max=1)}
 
     def own(observation: Any, start: bool) -> Any:
         again.env = _Player(wrapper.env, observation)

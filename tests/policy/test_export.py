@@ -1,0 +1,211 @@
+"""Policies compute the actions of the learner, with the wrappers of its training, or are refused by name."""
+
+from __future__ import annotations
+
+import warnings
+from types import SimpleNamespace
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import spaces
+from installed import needs
+from policies import FORCE, GOALS, IMAGE, VECTOR, Sampled, learner, saved
+
+from shape_obs.policy import PolicyError, load_policy, save_policy_onnx
+from shape_obs.policy.policy import action_difference
+
+pytestmark = needs("stable_baselines3", "sb3_contrib", "onnxscript", "onnxruntime")
+W = gym.wrappers
+DISCRETE = spaces.Discrete(4)
+
+
+def vector(make: Any, *wrappers: Any, count: int = 1) -> Any:
+    """Return a vector environment in wrappers of Stable-Baselines3, the innermost first."""
+    from stable_baselines3.common import vec_env
+
+    env: Any = vec_env.DummyVecEnv([make] * count)
+    for name, options in wrappers:
+        env = getattr(vec_env, name)(env, **options)
+    return env
+
+
+def actions(policy: Any, model: Any, seen: list[Any], **options: Any) -> float:
+    """Return the largest difference of the actions of a policy and of its learner in one episode."""
+    policy.reset()
+    state, largest = None, 0.0
+    for i, observation in enumerate(seen):
+        masks = {"action_masks": options["mask"]} if options else {}
+        wanted, state = model.predict(observation, state, np.array([i == 0]), deterministic=True, **masks)
+        largest = max(largest, action_difference(policy.spec, policy.act(observation, options.get("mask")), wanted))
+    return largest
+
+
+ALGORITHMS = [
+    ("SAC", FORCE), ("TQC", FORCE), ("TD3", FORCE), ("DDPG", FORCE), ("CrossQ", FORCE), ("ARS", FORCE), ("PPO", FORCE),
+    ("A2C", FORCE), ("TRPO", FORCE), ("RecurrentPPO", FORCE), ("DQN", DISCRETE), ("QRDQN", DISCRETE),
+    ("ARS", DISCRETE), ("MaskablePPO", DISCRETE), ("PPO", DISCRETE), ("PPO", spaces.MultiDiscrete([3, 4])),
+    ("PPO", spaces.MultiBinary(3)), ("MaskablePPO", spaces.MultiDiscrete([3, 4])),
+]  # fmt: skip
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("algorithm", "space"), ALGORITHMS, ids=[f"{name}-{space}" for name, space in ALGORITHMS])
+def test_algorithms_act_as_the_learner_after_training(algorithm, space, tmp_path):
+    env = Sampled(VECTOR, space)
+    model = learner(env, algorithm, "MlpLstm" if algorithm == "RecurrentPPO" else "Mlp")
+    model.learn(2000)
+    policy = saved(model, env, tmp_path / "a.policy")
+    mask = np.random.default_rng(1).random(policy.spec.mask or 1) < 0.7
+    mask[-1] = mask[0] = True
+    options = {"mask": mask} if policy.spec.mask else {}
+    assert actions(policy, model, [VECTOR.sample() for _ in range(1000)], **options) < 1e-5
+    assert policy.spec.trained["algorithm"] == algorithm
+
+
+@pytest.mark.parametrize(("algorithm", "space"), [("SAC", FORCE), ("PPO", FORCE), ("DQN", DISCRETE)])
+def test_usual_learners(algorithm, space, tmp_path):
+    env = Sampled(VECTOR, space)
+    model = learner(env, algorithm)
+    model.learn(100)
+    policy = saved(model, env, tmp_path / "folder")
+    assert sorted(item.name for item in (tmp_path / "folder").iterdir()) == ["policy.onnx", "policy.yaml", "replay.npz"]
+    assert actions(policy, model, [VECTOR.sample() for _ in range(100)]) < 1e-5
+
+
+STACKS: dict[str, Any] = {
+    "VecNormalize": lambda: ("Mlp", vector(Sampled, ("VecNormalize", {}))),
+    "NormalizeObservation": lambda: ("Mlp", W.NormalizeObservation(Sampled())),
+    "frames repeated": lambda: ("Mlp", W.FlattenObservation(W.FrameStackObservation(Sampled(), 3))),
+    "frames of zeros": lambda: (
+        "Mlp",
+        W.FlattenObservation(W.FrameStackObservation(W.NormalizeObservation(Sampled()), 3, padding_type="zero")),
+    ),
+    "VecFrameStack": lambda: ("Mlp", vector(Sampled, ("VecFrameStack", {"n_stack": 4}), ("VecNormalize", {}), count=2)),
+    "VecFrameStack outside": lambda: ("Mlp", vector(Sampled, ("VecNormalize", {}), ("VecFrameStack", {"n_stack": 4}))),
+    "RescaleAction": lambda: ("Mlp", W.RescaleAction(Sampled(), np.float32(-2), np.float32(2))),
+    "goals": lambda: ("MultiInput", vector(lambda: Sampled(GOALS), ("VecNormalize", {"norm_obs_keys": ["observation"]}))),
+    "filter": lambda: ("MultiInput", W.FilterObservation(Sampled(GOALS), ["observation", "desired_goal"])),
+    "reshape": lambda: ("Mlp", W.ReshapeObservation(Sampled(), (5, 1))),
+    "image": lambda: ("Cnn", Sampled(IMAGE)),
+    "images stacked": lambda: ("Cnn", vector(lambda: Sampled(IMAGE), ("VecFrameStack", {"n_stack": 2}))),
+    "image and numbers": lambda: ("MultiInput", Sampled(spaces.Dict({"image": IMAGE, "numbers": VECTOR}))),
+    "number": lambda: ("Mlp", Sampled(spaces.Discrete(7))),
+}
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", STACKS)
+def test_wrappers_become_part_of_the_network(name, tmp_path):
+    kind, env = STACKS[name]()
+    model = learner(env, policy=kind)
+    model.learn(128)
+    policy = saved(model, env, tmp_path / "a.policy")  # compares 64 actions behind the training's own wrappers
+    assert policy.spec.trained["steps"] == model.num_timesteps
+    if name == "RescaleAction":
+        np.testing.assert_array_equal(policy.spec.action["high"], FORCE.high)
+    if name.startswith("frames"):  # an episode does not see the one before it
+        first = [policy.act(np.ones(5)), policy.reset(), policy.act(np.ones(5))]
+        np.testing.assert_array_equal(first[0], first[2])
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("algorithm", ["SAC", "PPO"])
+def test_state_dependent_exploration_in_its_deterministic_mode(algorithm, tmp_path):
+    env = Sampled()
+    options = {"policy_kwargs": {"squash_output": True}} if algorithm == "PPO" else {}
+    model = learner(env, algorithm, use_sde=True, **options)
+    policy = saved(model, env, tmp_path / "a.policy")
+    assert actions(policy, model, [VECTOR.sample() for _ in range(100)]) < 1e-5
+
+
+@pytest.mark.nightly
+def test_recurrent_policies_with_goals_remember_an_episode(tmp_path):
+    env = vector(lambda: Sampled(GOALS), ("VecNormalize", {}))
+    model = learner(env, "RecurrentPPO", "MultiInputLstm")
+    policy = saved(model, env, tmp_path / "a.policy")
+    seen: Any = [GOALS.sample() for _ in range(200)]
+    state, largest = None, 0.0
+    for observation in seen:
+        wanted, state = model.predict(env.normalize_obs(observation), state, deterministic=True)
+        largest = max(largest, action_difference(policy.spec, policy.act(observation), wanted))
+    assert largest < 1e-5
+    again = [policy.act(seen[0]), policy.reset(), policy.act(seen[0])]
+    assert not np.array_equal(again[0], again[2])
+
+
+class Counting(gym.ObservationWrapper[Any, Any, Any]):
+    """Keep a running mean."""
+
+    def __init__(self, env: Any) -> None:
+        super().__init__(env)
+        self.running_mean = np.zeros(5)
+
+    def observation(self, observation: Any) -> Any:
+        return observation - self.running_mean
+
+
+class Noisy(gym.ActionWrapper[Any, Any, Any]):
+    """Change actions."""
+
+    def action(self, action: Any) -> Any:
+        return action
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Counting(Sampled()), r"statistics that the wrapper Counting keeps in 'running_mean'"),
+        (lambda: Counting(W.NormalizeObservation(Sampled())), "Counting keeps in 'running_mean'"),
+        (lambda: W.DtypeObservation(W.NormalizeObservation(Sampled()), np.float64), "NormalizeObservation keeps in 'obs_rms'"),
+        (lambda: Noisy(Sampled()), "a policy cannot hold how Noisy changes actions"),
+        (lambda: vector(Sampled, ("VecExtractDictObs", {"key": "observation"})), "VecExtractDictObs changes observations"),
+        (lambda: vector(lambda: W.NormalizeObservation(Sampled()), count=2), "each of several environments has its own"),
+    ],
+)  # fmt: skip
+def test_what_a_policy_cannot_hold_is_refused_by_name(make, message, tmp_path, monkeypatch):
+    from stable_baselines3.common import vec_env
+
+    from shape_obs.policy import save_policy
+
+    monkeypatch.setattr(vec_env.VecExtractDictObs, "__init__", lambda self, venv, key: setattr(self, "venv", venv))
+    with pytest.raises(PolicyError, match=message):
+        save_policy(learner(Sampled()), make(), tmp_path / "a.policy")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_policy_that_computes_something_else_is_found_out(tmp_path):
+    from shape_obs.policy import save_policy
+
+    model = learner(Sampled())
+    own = model.policy.predict
+    model.policy.predict = lambda *args, **options: (own(*args, **options)[0] + 0.5, None)
+    with pytest.raises(PolicyError, match="the network does not compute what the learner did: action 0 of 64"):
+        save_policy(model, Sampled(), tmp_path / "a.policy")
+    model.policy = SimpleNamespace(action_space=FORCE)
+    with pytest.raises(PolicyError, match="the policy SimpleNamespace of PPO .* use save_policy_onnx"):
+        save_policy(model, Sampled(), tmp_path / "a.policy")
+
+
+def test_networks_of_other_learners(tmp_path):
+    import torch
+
+    network = torch.nn.Sequential(torch.nn.Linear(5, 8), torch.nn.Tanh(), torch.nn.Linear(8, 2), torch.nn.Tanh())
+    seen = [VECTOR.sample().astype(np.float32) for _ in range(40)]
+    wanted = [network(torch.from_numpy(one)).detach().numpy() for one in seen]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.onnx.export(network, (torch.zeros(1, 5),), tmp_path / "own.onnx", dynamo=True, external_data=False, verbose=False)
+    env = Sampled(spaces.Box(-3, 3, (5,)))
+    save_policy_onnx(tmp_path / "a.policy", tmp_path / "own.onnx", env, seen, wanted, summary={"learner": "own"})
+    policy = load_policy(tmp_path / "a.policy")
+    np.testing.assert_allclose(policy.act(seen[3]), wanted[3], atol=1e-6)
+    assert policy.spec.trained["learner"] == "own"
+    for changed, message in (
+        ((seen[:9], wanted[:9]), "expected 32 to 1024 steps of observation, action, start"),
+        ((seen, wanted[::-1]), "does not compute what the learner did"),
+    ):
+        with pytest.raises(PolicyError, match=message):
+            save_policy_onnx(tmp_path / "b.policy", tmp_path / "own.onnx", env, *changed)
+    assert not (tmp_path / "b.policy").exists()

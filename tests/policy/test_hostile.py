@@ -1,0 +1,248 @@
+"""Files from anyone: damaged and hostile policies are refused with one error, at once, and no code runs."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import random
+import resource
+import sys
+import time
+import zipfile
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from installed import needs
+
+from shape_obs.policy import PolicyError, load_policy
+from shape_obs.policy.policy import policy_from
+
+pytestmark = needs("onnx", "onnxruntime")
+SIZE = 4
+
+
+def network(change: Callable[[Any], Any] = lambda graph: None, domain: str = "") -> bytes:
+    """Return a small network: the tanh of a linear map."""
+    from onnx import TensorProto, helper, numpy_helper
+
+    weights = np.random.default_rng(0).standard_normal((SIZE, 2)).astype(np.float32)
+    value = helper.make_tensor_value_info
+    graph = helper.make_graph(
+        [helper.make_node("MatMul", ["observation", "w"], ["linear"]), helper.make_node("Tanh", ["linear"], ["action"])],
+        "policy",
+        [value("observation", TensorProto.FLOAT, [1, SIZE])],
+        [value("action", TensorProto.FLOAT, [1, 2])],
+        [numpy_helper.from_array(weights, "w")],
+    )
+    change(graph)
+    opsets = [helper.make_opsetid("", 20), *([helper.make_opsetid(domain, 1)] if domain else [])]
+    return helper.make_model(graph, opset_imports=opsets, ir_version=10).SerializeToString()
+
+
+def policy(onnx: bytes | None = None, replay: bytes | None = None, **changes: Any) -> dict[str, bytes]:
+    """Return the members of a policy with changed content and correct hashes."""
+    if replay is None:
+        seen = np.random.default_rng(1).standard_normal((32, SIZE)).astype(np.float32)
+        weights = np.random.default_rng(0).standard_normal((SIZE, 2)).astype(np.float32)
+        buffer = io.BytesIO()
+        np.savez(buffer, observation=seen, action=np.tanh(seen @ weights), start=np.arange(32) == 0)
+        replay = buffer.getvalue()
+    members = {"policy.onnx": network() if onnx is None else onnx, "replay.npz": replay}
+    contract: dict[str, Any] = {
+        "format": 1, "dt": 0.05, "inputs": {"observation": {"shape": [SIZE], "dtype": "float32"}},
+        "action": {"kind": "box", "shape": [2], "dtype": "float32", "low": [-1, -1], "high": [1, 1]},
+        "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in members.items()},
+    }  # fmt: skip
+    return members | {"policy.yaml": yaml.safe_dump(contract | changes).encode()}
+
+
+def node(kind: str, inputs: list[str], outputs: list[str], domain: str = "", **attributes: Any) -> Callable[[Any], None]:
+    """Return a change that puts an operator at the start of a graph."""
+
+    def change(graph: Any) -> None:
+        from onnx import helper
+
+        graph.node.insert(0, helper.make_node(kind, inputs, outputs, domain=domain, **attributes))
+
+    return change
+
+
+def integers(name: str, *values: int) -> Any:
+    from onnx import TensorProto, helper
+
+    return helper.make_tensor(name, TensorProto.INT64, [len(values)], values)
+
+
+def huge(graph: Any) -> None:
+    graph.initializer.append(integers("side", 200_000, 200_000))
+    node("ConstantOfShape", ["side"], ["large"])(graph)
+
+
+def growing(graph: Any) -> None:
+    graph.initializer.append(integers("twice", 100_000, 1))
+    node("Tile", ["observation", "twice"], ["tall"])(graph)
+    graph.node.insert(1, __import__("onnx").helper.make_node("Transpose", ["tall"], ["wide"]))
+    graph.node.insert(2, __import__("onnx").helper.make_node("MatMul", ["tall", "wide"], ["square"]))
+
+
+def long(graph: Any) -> None:
+    graph.initializer.append(integers("sides", 2500, 2500))
+    node("Expand", ["w1", "sides"], ["large"])(graph)
+    graph.initializer.append(__import__("onnx").numpy_helper.from_array(np.ones((1, 1), np.float32), "w1"))
+    graph.node.insert(1, __import__("onnx").helper.make_node("MatMul", ["large", "large"], ["slow"]))
+
+
+def external(graph: Any) -> None:
+    tensor = graph.initializer[0]
+    tensor.ClearField("raw_data")
+    tensor.data_location = 1
+    entry = tensor.external_data.add()
+    entry.key, entry.value = "location", "/etc/passwd"
+
+
+def looping(graph: Any) -> None:
+    from onnx import helper
+
+    node("Loop", ["", "", "observation"], ["again"], body=helper.make_graph([], "body", [], []))(graph)
+
+
+def claimed(graph: Any) -> None:
+    graph.initializer[0].dims[0] = 10**12
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (huge, "expected at most 67108864 bytes"),
+        (growing, "expected at most 67108864 bytes"),
+        (long, "2e\\+09 multiplications"),
+        (external, "'w' is in another file"),
+        (looping, "the operator Loop is not allowed"),
+        (claimed, "the tensor 'w' has the shape"),
+        (node("If", ["observation"], ["x"]), "the operator If is not allowed"),
+        (node("RandomNormal", [], ["x"], shape=[4]), "the operator RandomNormal is not allowed"),
+        (node("PyOp", ["observation"], ["x"], "ai.onnx.contrib"), "the operator ai.onnx.contrib.PyOp is not allowed"),
+        (lambda graph: graph.node.pop(), "not a network of ONNX, or a damaged one"),
+        (lambda graph: setattr(graph.input[0], "name", "seen"), "not a network of ONNX, or a damaged one"),
+        (lambda graph: setattr(graph.output[0], "name", "linear"), "expected the outputs"),
+    ],
+)
+def test_networks_that_could_do_more_than_compute_are_refused(change, message):
+    with pytest.raises(PolicyError, match=message):
+        policy_from(policy(network(change)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"format": 2}, "expected a policy of format 1, got 2: save it again"),
+        ({"dt": 1e9}, "dt: expected 0.0001 to 3600.0 seconds"),
+        ({"inputs": {"observation": {"shape": [10**9], "dtype": "float32"}}}, "at most 16777216 bytes"),
+        ({"inputs": {"observation": {"shape": [4], "dtype": "object"}}}, "expected up to 5 sides and a type of bool"),
+        ({"inputs": {"observation": {"shape": [5], "dtype": "float32"}}}, "expected the inputs"),
+        ({"wrappers": [{"name": "os:system", "kwargs": {}}]}, "expected ShapeGoal and PointReward, got 'os:system'"),
+        ({"config": {"shapes": ["centerline"], "segmentation": "os:system"}}, "the segmentation is code to import"),
+        ({"config": {"shapes": [{"kind": "centerline", "n": 10**7}]}}, "n is 10000000, expected a finite number up to 1000"),
+        ({"config": {"features": [{"kind": "pca", "file": "/etc/passwd"}]}}, "reads the file '/etc/passwd'"),
+        ({"schema": "0" * 64}, "its features mean something else here"),
+        ({"action": {"kind": "box", "shape": [2], "dtype": "float32"}}, "policy.yaml cannot be understood: 'low'"),
+        ({"unknown": 1}, "unknown field 'unknown'"),
+        ({"sha256": {}}, "policy.onnx was changed, or is damaged"),
+    ],
+)
+def test_contracts_that_ask_for_too_much_are_refused(changes, message):
+    with pytest.raises(PolicyError, match=message):
+        policy_from(policy(**changes))
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["policy.onnx", "policy.yaml"], "expected a zip of policy.onnx, policy.yaml, replay.npz, got"),
+        (["policy.onnx", "policy.yaml", "replay.npz", "../../evil.py"], "evil.py"),
+        (["policy.onnx", "policy.yaml", "replay.npz", "policy.onnx"], "policy.onnx, policy.onnx"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_zips_of_other_files_are_refused(names, message, tmp_path):
+    members = policy()
+    with zipfile.ZipFile(tmp_path / "a.policy", "w") as archive:
+        for name in names:
+            archive.writestr(name, members.get(name, b"raise SystemExit"))
+    with pytest.raises(PolicyError, match=message):
+        load_policy(tmp_path / "a.policy")
+    assert [item.name for item in tmp_path.iterdir()] == ["a.policy"]
+
+
+def test_a_bomb_is_not_unpacked(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.policy", "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in policy():
+            archive.writestr(name, bytes(200 << 20 if name == "replay.npz" else 1))
+    with pytest.raises(PolicyError, match="replay.npz: expected at most 67108864 bytes, got 209715200"):
+        load_policy(tmp_path / "a.policy")
+    with pytest.raises(PolicyError, match="there is no policy.onnx"):
+        load_policy(tmp_path)
+    with pytest.raises(FileNotFoundError, match="no such policy"):
+        load_policy(tmp_path / "b.policy")
+
+
+def test_python_objects_are_not_read():
+    buffer = io.BytesIO()
+    np.savez(buffer, observation=np.array([print] * 32, object))
+    with pytest.raises(PolicyError, match="replay.npz: not a file of NumPy arrays"):
+        policy_from(policy(replay=buffer.getvalue()))
+    with pytest.raises(PolicyError, match="could not determine a constructor for the tag"):
+        policy_from(policy() | {"policy.yaml": b"!!python/object/apply:os.system [exit]"})
+
+
+def mutated(data: bytes, chance: random.Random) -> bytes:
+    """Return the content with some bytes changed, removed, repeated or inserted."""
+    changed = bytearray(data)
+    for _ in range(chance.choice([1, 1, 2, 8])):
+        at, kind = chance.randrange(len(changed)), chance.randrange(5)
+        if kind < 2:
+            changed[at] ^= 1 << chance.randrange(8)
+        elif kind == 2:
+            changed[at] = chance.choice([0, 255, 127, 128])
+        elif kind == 3:
+            del changed[at : at + chance.randrange(1, 20)]
+        else:
+            changed[at:at] = changed[max(0, at - 20) : at] or b"\xff"
+        changed = changed or bytearray(b"\0")
+    return bytes(changed)
+
+
+@pytest.mark.parametrize("count", [150, pytest.param(1000, marks=pytest.mark.nightly)])
+def test_mutations_are_refused_at_once_or_act_as_the_learner_did(count, tmp_path):
+    chance, slowest, read = random.Random(count), 0.0, 0
+    policy_from(policy())
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for i in range(count):
+        good = policy()
+        name = ("policy.onnx", "policy.onnx", "policy.yaml", "replay.npz", "zip")[i % 5]
+        begun = time.perf_counter()
+        try:
+            if name == "policy.yaml":
+                policy_from(good | {name: mutated(good[name], chance)})
+            elif name == "zip":
+                buffer = io.BytesIO()
+                with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+                    for member, data in good.items():
+                        archive.writestr(member, data)
+                (tmp_path / "a.policy").write_bytes(mutated(buffer.getvalue(), chance))
+                load_policy(tmp_path / "a.policy")
+            elif name == "policy.onnx":
+                policy_from(policy(onnx=mutated(good[name], chance)))
+            else:
+                policy_from(policy(replay=mutated(good[name], chance)))
+            read += 1
+        except PolicyError as error:
+            assert 0 < len(str(error)) < 1000  # noqa: PT017 - most are refused, a few change nothing
+        slowest = max(slowest, time.perf_counter() - begun)
+    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / (1 << 10 if sys.platform != "darwin" else 1 << 20)
+    assert slowest < 2
+    assert grown < 300  # megabytes
+    assert read < count / 2
