@@ -19,7 +19,7 @@ from stable_baselines3.common.callbacks import CheckpointCallback, EvalCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecNormalize, VecTransposeImage
 
-from shape_obs.deploy.policy_bundle import save_bundle
+from shape_obs.policy import save_policy
 from shape_obs.training import Curriculum, ImageAndGoal, PixelPolicy, Pixels
 
 HELD_OUT = 1_000_000  # seed of the goals for evaluation; trainings use seeds far below
@@ -29,7 +29,7 @@ FLOOR: dict[str, Any] = {"norm_reward": False, "epsilon": 1e-4, "norm_obs_keys":
 
 @dataclass
 class Args:
-    """Train a policy, and save it as a bundle."""
+    """Train a policy, and save it."""
 
     out: Path = Path("runs/cnn")
     steps: int = 50_000
@@ -75,7 +75,7 @@ def main(args: Args) -> None:
     save = CheckpointCallback(args.checkpoint_every, str(args.out), "model", True, True)
     tell = EvalCallback(trial, n_eval_episodes=args.goals, eval_freq=args.evaluate_every)
     model.learn(args.steps - model.num_timesteps, [tell, save], reset_num_timesteps=not args.resume, progress_bar=True)
-    save_bundle(model, env, args.out / "cable.policy", summary={"algorithm": "SAC", "steps": model.num_timesteps})
+    save_policy(model, env, args.out / "cable.policy", summary={"algorithm": "SAC", "steps": model.num_timesteps})
     print(f"{args.out / 'cable.policy'}: after {model.num_timesteps} steps, reward {tell.last_mean_reward:.1f}")
 
 

@@ -18,7 +18,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecNormalize
 
 from shape_obs import ShapeGoal, ShapeObservation
-from shape_obs.deploy.policy_bundle import deploy_command, save_bundle
+from shape_obs.policy import deploy_command, save_policy
 from shape_obs.training import GoalDifference
 
 HELD_OUT = 1_000_000  # seed of the starts for evaluation; trainings use seeds far below
@@ -28,7 +28,7 @@ SCALE: dict[str, Any] = {"gamma": 0.95, "epsilon": 1e-4}
 
 @dataclass
 class Args:
-    """Train a policy, and save it as a bundle."""
+    """Train a policy, and save it."""
 
     out: Path = Path("runs/ppo")
     steps: int = 100_000
@@ -74,7 +74,7 @@ def main(args: Args) -> None:
     save = CheckpointCallback(args.checkpoint_every // args.envs, str(args.out), "model", save_vecnormalize=True)
     tell = EvalCallback(trial, n_eval_episodes=args.starts, eval_freq=args.evaluate_every // args.envs)
     model.learn(args.steps - model.num_timesteps, [tell, save], reset_num_timesteps=not args.resume, progress_bar=True)
-    save_bundle(model, env, args.out / "cable.policy", summary={"algorithm": "PPO", "steps": model.num_timesteps})
+    save_policy(model, env, args.out / "cable.policy", summary={"algorithm": "PPO", "steps": model.num_timesteps})
     print(f"{args.out / 'cable.policy'}: after {model.num_timesteps} steps, reward {tell.last_mean_reward:.2f}")
     print(f"try it on a simulated robot:\n  {deploy_command(args.out / 'cable.policy')}")
 

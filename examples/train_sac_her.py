@@ -18,7 +18,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecNormalize, sync_envs_normalization
 
 from shape_obs import ShapeObservation
-from shape_obs.deploy.policy_bundle import deploy_command, save_bundle
+from shape_obs.policy import deploy_command, save_policy
 from shape_obs.training import Curriculum, GoalDifference
 
 GOALS = ("near", "middle", "far")
@@ -28,7 +28,7 @@ FLOOR: dict[str, Any] = {"norm_reward": False, "epsilon": 1e-4}  # m2: less than
 
 @dataclass
 class Args:
-    """Train a policy, and save it as a bundle."""
+    """Train a policy, and save it."""
 
     env: str = "Cable"  # or Hanging: a rope in the air, with grippers that move in x, y and z
     out: Path = Path("runs/sac_her")
@@ -82,7 +82,7 @@ def main(args: Args) -> None:
         evaluate_policy(model, trial, args.goals, callback=lambda at, _: reached.append(at["info"]["is_success"]))
         count = sum(reached[49::50][-args.goals :])
         print(f"after {model.num_timesteps} steps: {count} of {args.goals} {goals} goals reached")
-    save_bundle(model, env, path := args.out / f"{args.env.lower()}.policy", summary={"steps": args.steps})
+    save_policy(model, env, path := args.out / f"{args.env.lower()}.policy", summary={"steps": args.steps})
     print(f"{path}: try it on a simulated robot:\n  {deploy_command(path)}")
 
 

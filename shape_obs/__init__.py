@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from shape_obs.configurations.centerline import Centerline as Centerline
     from shape_obs.configurations.contour import Contour as Contour
     from shape_obs.configurations.surface import Surface as Surface
-    from shape_obs.deploy.policy_bundle import load_bundle as load_bundle
-    from shape_obs.deploy.policy_bundle import save_bundle as save_bundle
     from shape_obs.detector import ShapeDetector as ShapeDetector
     from shape_obs.drawing import log_rerun as log_rerun
     from shape_obs.extrinsics import Extrinsics as Extrinsics
@@ -39,6 +37,9 @@ if TYPE_CHECKING:
     from shape_obs.markers import MarkerLayout as MarkerLayout
     from shape_obs.markers import TopView as TopView
     from shape_obs.markers import find_markers as find_markers
+    from shape_obs.policy import load_policy as load_policy
+    from shape_obs.policy import save_policy as save_policy
+    from shape_obs.policy import save_policy_onnx as save_policy_onnx
     from shape_obs.shape import Detection as Detection
     from shape_obs.shape import Shape as Shape
     from shape_obs.spec import Spec as Spec
@@ -53,7 +54,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
-    "shape_obs.deploy.policy_bundle": ("load_bundle", "save_bundle"),
+    "shape_obs.policy": ("load_policy", "save_policy", "save_policy_onnx"),
     "shape_obs.camera": ("CameraModel", "Intrinsics"),
     "shape_obs.config.config_file": ("load_config", "save_config", "schema_hash"),
     "shape_obs.configurations.base": ("Configuration",),
@@ -81,6 +82,8 @@ __all__ = sorted(_MODULE_OF)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
+    if name in ("save_bundle", "load_bundle"):  # ``from shape_obs import`` replaces the message of an AttributeError
+        raise ImportError(f"shape_obs.{name} was removed: call shape_obs.{name.replace('bundle', 'policy')}.")
     if name not in _MODULE_OF:
         raise AttributeError(f"module 'shape_obs' has no attribute {name!r}; it has: {', '.join(__all__)}.")
     return getattr(import_module(_MODULE_OF[name]), name)

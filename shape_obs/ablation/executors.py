@@ -118,17 +118,17 @@ def _progress_writer(task: Task) -> Callable[[int], None]:
 
 
 def _policy(trained: Trained, task: Task) -> dict[str, bytes]:
-    """Return the trained policy as a bundle."""
-    from shape_obs.deploy.policy_bundle import save_bundle
+    """Return the file of the trained policy."""
+    from shape_obs.policy import save_policy
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, POLICY)
-        save_bundle(trained.model, trained.env, path, summary=_summary(trained, task))
+        save_policy(trained.model, trained.env, path, summary=_summary(trained, task))
         return {POLICY: path.read_bytes()}
 
 
 def _summary(trained: Trained, task: Task) -> dict[str, Any]:
-    """Return the summary of the training for the bundle."""
+    """Return the summary of the training for its file."""
     last = [row.score for row in trained.rows if not row.disturbance and row.steps == trained.model.num_timesteps]
     return {
         "arm": task.arm,

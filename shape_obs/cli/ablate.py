@@ -139,7 +139,7 @@ def _best_policy(args: Arguments, study: Study, runs: Sequence[FinishedRun]) -> 
     """
     from shape_obs.ablation.executors import POLICY
     from shape_obs.ablation.results import RunFolder
-    from shape_obs.deploy.policy_bundle import BundleError, deploy_command
+    from shape_obs.policy import PolicyError, deploy_command
 
     def error(run: FinishedRun) -> float:
         difficulties = study.evaluation.difficulties
@@ -150,7 +150,7 @@ def _best_policy(args: Arguments, study: Study, runs: Sequence[FinishedRun]) -> 
         path = RunFolder(args.out, run.arm, run.seed).path / POLICY
         try:
             return {"policy": str(path), "next": deploy_command(path)}
-        except BundleError as problem:  # it reads the simulator's state
+        except PolicyError as problem:  # it reads the simulator's state
             best = best or {"policy": str(path), "next": f"it is for simulation only: {problem}"}
         except FileNotFoundError:  # removed by the user
             continue

@@ -31,11 +31,8 @@ _SETTLE: Final = 0.05
 class ControllerArguments(RobotArguments):
     """Options that choose the policy or controller, and its goal."""
 
-    bundle: Annotated[Path | None, Option("[POLICY]", positional=True, existing="policy")] = None
-    """A trained policy, as shape_obs.save_bundle writes it."""
-    trust: Annotated[bool, Option(group="controller")] = False
-    """Load a trained policy that contains code: one of an earlier version, or one with its own classes. Use this only
-    if you trust the author of the file."""
+    policy: Annotated[Path | None, Option("[POLICY]", positional=True, existing="policy")] = None
+    """A trained policy, as shape_obs.save_policy writes it."""
     controller: Annotated[str | None, Option("MODULE:CLASS", "controller", check=check_name)] = None
     """A controller instead of a policy, as module:Class with act(observation); shape_obs.deploy has Still, Sway and
     Script. Default: Still."""
@@ -83,12 +80,10 @@ def check_controller(args: ControllerArguments) -> None:
     """
     if args.robot is None:
         raise UsageError("--robot module:Class is needed; shape_obs_envs.robots:NullRobot moves nothing.")
-    if args.bundle is not None and args.controller is not None:
-        raise UsageError(f"expected a trained policy or --controller, got both: {args.bundle} and {args.controller}.")
-    if args.bundle is not None and args.controller_set:
+    if args.policy is not None and args.controller is not None:
+        raise UsageError(f"expected a trained policy or --controller, got both: {args.policy} and {args.controller}.")
+    if args.policy is not None and args.controller_set:
         raise UsageError("--controller-set: a trained policy takes no arguments; leave it out.")
-    if args.trust and args.bundle is None:
-        raise UsageError("--trust: only for a trained policy, and none is given; leave it out.")
     if args.goal not in (None, _ROBOT) and not Path(str(args.goal)).is_file():
         raise FileNotFoundError(f"{args.goal}: no such goal file")
 
@@ -107,40 +102,41 @@ def make_deployment(args: ControllerArguments, **options: Any) -> Deployment:
     from shape_obs.deploy import DryRobot
     from shape_obs.wrappers import ShapeGoal, Target
 
-    if args.settle is None and args.bundle is not None:
+    if args.settle is None and args.policy is not None:
         args = replace(args, settle=_SETTLE)
     options |= {"settle": args.settle}
     goal = None if args.goal in (None, _ROBOT) else Target.load(str(args.goal))
-    bundle = None if args.bundle is None else _load(args.bundle, args.trust)
-    if bundle is None:
+    policy = None if args.policy is None else _load(args.policy)
+    if policy is None:
         settings = read_settings(args.controller_set, "--controller-set")
         with wrong_usage():
             controller = make_named(args.controller or "shape_obs.deploy:Still", "--controller", settings)
     else:
-        controller = bundle.controller(same_rate=args.rate is None)
-        args = _with_training_defaults(args, bundle)
+        controller = policy
+        policy.same_rate = args.rate is None
+        args = _with_training_defaults(args, policy)
     own = make_robot(args)
     robot: Any = DryRobot(own) if args.dry_run else own
     if args.goal == _ROBOT:
         robot = StartFirst(robot)
-    if bundle is None:
+    if policy is None:
         env = make_env(args, robot, **options)
         if args.goal is not None:
             env = ShapeGoal(env, goal=goal)
     else:
-        env = bundle.wrap(make_bare_env(args, robot, **options), goal, _scene(args, robot))
-        bundle.check_env(env, same_rate=controller.same_rate)
+        env = policy.wrap(make_bare_env(args, robot, **options), goal, _scene(args, robot))
+        policy.check_env(env, same_rate=policy.same_rate)
     if args.goal == _ROBOT:
         env = RobotGoals(env, own)
-    return Deployment(controller, env, robot, args, _CENTIMETRE if bundle is None else bundle.success_threshold)
+    return Deployment(controller, env, robot, args, (policy and policy.spec.success_threshold) or _CENTIMETRE)
 
 
-def _load(path: Path, trust: bool) -> Any:
-    from shape_obs.deploy.policy_bundle import load_bundle
+def _load(path: Path) -> Any:
+    from shape_obs.policy import load_policy
 
-    bundle = load_bundle(path, trust=trust)
-    bundle.check_deployable()
-    return bundle
+    policy = load_policy(path)
+    policy.check_deployable()
+    return policy
 
 
 def _scene(args: ControllerArguments, robot: Any) -> dict[str, Any]:
@@ -153,17 +149,17 @@ def _scene(args: ControllerArguments, robot: Any) -> dict[str, Any]:
     return scene
 
 
-def _with_training_defaults(args: ControllerArguments, bundle: Any) -> ControllerArguments:
+def _with_training_defaults(args: ControllerArguments, policy: Any) -> ControllerArguments:
     """Fill in the policy's own rate and episode length unless the user chose others."""
-    if bundle.needs_goal and args.goal is None and not bundle.has_goal:
+    if policy.spec.needs_goal and args.goal is None and not policy.spec.has_goal:
         raise UsageError("the policy needs a goal: give --goal FILE, or --goal robot if the robot is simulated.")
     if args.rate is None:
-        args = replace(args, rate=1 / bundle.dt)
-    elif abs(args.rate * bundle.dt - 1) > 1e-3:
+        args = replace(args, rate=1 / policy.spec.dt)
+    elif abs(args.rate * policy.spec.dt - 1) > 1e-3:
         warnings.warn(
-            f"--rate {args.rate:g}: the policy was trained at {1 / bundle.dt:g} steps per second.",
+            f"--rate {args.rate:g}: the policy was trained at {1 / policy.spec.dt:g} steps per second.",
             UserWarning,
             stacklevel=2,
         )
-    steps = bundle.spec.max_episode_steps if args.episodes is not None and args.steps is None else args.steps
+    steps = (policy.spec.trained.get("env") or {}).get("max_episode_steps") if args.episodes is not None and args.steps is None else args.steps
     return replace(args, steps=steps)

@@ -94,7 +94,7 @@ load(shape_obs, {skip})
 """
 # A network's part is a class of torch's, so its file begins with it; nothing else loads that file while loading.
 TORCH_PARTS = ("shape_obs.training.extractors", "shape_obs.training.pixel_policy")
-APPLICATIONS = ("shape_obs.wrappers", "shape_obs.training", "shape_obs.deploy.policy_bundle", "shape_obs.ablation",
+APPLICATIONS = ("shape_obs.wrappers", "shape_obs.training", "shape_obs.policy", "shape_obs.ablation",
                 "shape_obs.extraction", "shape_obs.tuner", "shape_obs.cli")  # fmt: skip
 
 

@@ -62,3 +62,38 @@ def saved(model: Any, env: Any, path: Path, **options: Any) -> Any:
 
     save_policy(model, env, path, **options)
     return load_policy(path)
+
+
+# ---- The simulated cable
+
+POINTS = {"kind": "points3d", "frame": "base"}
+WORKSPACE = ((-1.0, -1.0, -1.0), (1.0, 1.0, 2.0))
+
+
+def cable(keep: Any = None, **options: Any) -> Any:
+    """Return the cable's environment, whose goals and points are in the base frame."""
+    import shape_obs_envs  # noqa: F401
+    from shape_obs import ShapeObservation
+
+    env = gym.make("ShapeObs/Cable-v0", disable_env_checker=True, camera=[84, 84], reward_type="sparse")
+    return ShapeObservation(env, keep=keep, **options)
+
+
+def untrained(env: Any) -> Any:
+    """Return an untrained model for the observations of an environment."""
+    goals = isinstance(env.observation_space, spaces.Dict)
+    return learner(env, "SAC", "MultiInput" if goals else "Mlp")
+
+
+def trained_cable(path: Path) -> Any:
+    """Save a briefly trained policy with hindsight replay, normalisation, monitor and curriculum, and load it."""
+    from stable_baselines3 import HerReplayBuffer
+    from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+    from shape_obs.training import Curriculum
+
+    env = VecNormalize(DummyVecEnv([lambda: Monitor(Curriculum(cable(), ["near"]))]), norm_reward=False, epsilon=1e-4)
+    model = learner(env, "SAC", "MultiInput", replay_buffer_class=HerReplayBuffer, learning_starts=100)
+    model.learn(12)
+    return saved(model, env, path, summary={"note": "quick"})

@@ -51,7 +51,7 @@ def test_a_training_stops_and_goes_on(name, tmp_path, capsys):
     import torch
     from stable_baselines3.common.save_util import load_from_zip_file
 
-    from shape_obs.deploy.policy_bundle import load_bundle
+    from shape_obs.policy import load_policy
 
     threads = torch.get_num_threads()
     module = example(name)
@@ -75,7 +75,7 @@ def test_a_training_stops_and_goes_on(name, tmp_path, capsys):
             buffer = unpickled(run / f"model_replay_buffer_{at}_steps.pkl")
             assert at - 2 <= (buffer.buffer_size if buffer.full else buffer.pos) <= at
     assert list(run.glob("*_1/events.out.tfevents.*"))
-    assert load_bundle(run / "cable.policy").record.summary["steps"] == 200
+    assert load_policy(run / "cable.policy").spec.trained["steps"] == 200
 
 
 def test_hindsight_replay_relabels_with_what_the_camera_saw():

@@ -1,4 +1,4 @@
-"""Bundles in other environments: differences are refused by name."""
+"""Policies in other environments: differences are refused by name."""
 
 from __future__ import annotations
 
@@ -11,27 +11,24 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from bundles import POINTS, WORKSPACE, cable, learner, train
 from fake_cell import rope_camera
 from goal_envs import StripsEnv, observing_strips
 from installed import needs
+from policies import POINTS, WORKSPACE, cable, saved, trained_cable, untrained
 
 import shape_obs_envs  # noqa: F401
-from shape_obs import ShapeGoal, ShapeObservation, load_bundle, save_bundle
-from shape_obs.deploy.policy_bundle import BundleError, deploy_command
-from shape_obs.deploy.policy_bundle.limits import check_goal
+from shape_obs import ShapeGoal, ShapeObservation
+from shape_obs.policy import PolicyError, deploy_command, load_policy, save_policy
 from shape_obs.robot import ActionSpec
 from shape_obs.training import PointReward, TrueState
 from shape_obs_envs.robots import NullRobot
 
-pytestmark = needs("mujoco", "stable_baselines3")
+pytestmark = needs("mujoco", "stable_baselines3", "onnxscript", "onnxruntime")
 
 
 @pytest.fixture(scope="module")
-def bundle(tmp_path_factory) -> Any:
-    path = tmp_path_factory.mktemp("bundle") / "cable.policy"
-    train(path)
-    return load_bundle(path)
+def policy(tmp_path_factory) -> Any:
+    return trained_cable(tmp_path_factory.mktemp("policy") / "cable.policy")
 
 
 class TestMismatch:
@@ -47,9 +44,9 @@ class TestMismatch:
             ({"clustering": "kmeans", "shapes": ["centerline"]}, "clustering kind: 'som' in training, 'kmeans' here"),
         ],
     )
-    def test_of_what_is_seen(self, bundle, options, message):
-        with pytest.raises(BundleError, match=f"does not fit this environment: .*{message}"):
-            bundle.check_env(cable(**options))
+    def test_of_what_is_seen(self, policy, options, message):
+        with pytest.raises(PolicyError, match=f"does not fit this environment: .*{message}"):
+            policy.check_env(cable(**options))
 
     @pytest.mark.parametrize(
         ("changes", "rate", "message"),
@@ -61,30 +58,30 @@ class TestMismatch:
             ({}, 30, r"dt \[s\]: 0.05 in training, 0.033333 here"),
         ],
     )
-    def test_of_what_is_done(self, bundle, changes, rate, message):
-        env = bundle.wrap(self.cell(bundle, changes, rate), scene=BLUE)
-        with pytest.raises(BundleError, match=message):
-            bundle.check_env(env)
+    def test_of_what_is_done(self, policy, changes, rate, message):
+        env = policy.wrap(self.cell(policy, changes, rate), scene=BLUE)
+        with pytest.raises(PolicyError, match=message):
+            policy.check_env(env)
 
-    def test_what_may_differ(self, bundle):
-        assert bundle.differences(cable(workspace=WORKSPACE, segmentation=BLUE["segmentation"])) == []
-        shapes = [{**shape, "length": 0.8} for shape in bundle.record.config["shapes"]]
-        assert bundle.differences(cable(shapes=shapes, max_speed=3.0)) == []
-        slow = bundle.wrap(self.cell(bundle, {"low": [-0.3] * 6}, 30), scene=BLUE)
-        assert bundle.differences(slow, same_rate=False) == []
+    def test_what_may_differ(self, policy):
+        assert policy.differences(cable(workspace=WORKSPACE, segmentation=BLUE["segmentation"])) == []
+        shapes = [{**shape, "length": 0.8} for shape in policy.spec.config["shapes"]]
+        assert policy.differences(cable(shapes=shapes, max_speed=3.0)) == []
+        slow = policy.wrap(self.cell(policy, {"low": [-0.3] * 6}, 30), scene=BLUE)
+        assert policy.differences(slow, same_rate=False) == []
         assert isinstance(slow, ShapeGoal)
-        other = bundle.wrap(self.cell(bundle, {}, 20), scene={**BLUE, "shapes": shapes, "max_speed": 3.0})
+        other = policy.wrap(self.cell(policy, {}, 20), scene={**BLUE, "shapes": shapes, "max_speed": 3.0})
         config = other.get_wrapper_attr("detector").config
         assert (config.shapes[0].length, config.max_speed) == (0.8, 3.0)
 
-    def test_a_camera_without_extrinsics(self, bundle):
-        env = self.cell(bundle, {}, 20)
+    def test_a_camera_without_extrinsics(self, policy):
+        env = self.cell(policy, {}, 20)
         env.unwrapped.source.extrinsics = None  # as of a camera without --extrinsics
-        with pytest.raises(BundleError, match=r"'points3d' in the base frame, .* give --extrinsics"):
-            bundle.wrap(env, scene=BLUE)
+        with pytest.raises(PolicyError, match=r"'points3d' in the base frame, .* give --extrinsics"):
+            policy.wrap(env, scene=BLUE)
 
-    def cell(self, bundle, changes, rate) -> Any:
-        spec = {**bundle.action_spec.to_dict(), **changes}
+    def cell(self, policy, changes, rate) -> Any:
+        spec = {**policy.action_spec.to_dict(), **changes}
         return gym.make(
             "shape_obs_envs:ShapeObs/D455-v0",
             source=rope_camera(),
@@ -93,11 +90,6 @@ class TestMismatch:
             size=[160, 120],
             disable_env_checker=True,
         )
-
-
-def rescaled() -> Any:
-    bounds: Any = -2.0, 2.0
-    return gym.wrappers.RescaleAction(cable(), *bounds)
 
 
 BLUE = {"segmentation": {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}}
@@ -109,27 +101,24 @@ class TestDeployable:
         [
             (lambda: TrueState(gym.make("ShapeObs/Cable-v0", render_observation=False)), "simulator's state"),
             (lambda: cable(keep=["gripper"]), "it also reads gripper, which only its simulator provides"),
-            (rescaled, "the wrapper RescaleAction does on a robot"),
+            (lambda: gym.wrappers.DtypeObservation(cable(features=["ok"], keep=[]), dict), "the wrapper DtypeObservation does"),
         ],
     )
     def test_what_only_a_simulator_has_is_kept_and_rebuilt_but_not_deployed(self, tmp_path, make, reason):
         env = make()
-        save_bundle(learner(env), env, tmp_path / "a.policy")
-        bundle = load_bundle(tmp_path / "a.policy")
-        again = bundle.make_env()
-        assert again.action_space.contains(bundle.act(again.reset(seed=0)[0]))
-        with pytest.raises(BundleError, match=f"the policy cannot be deployed: .*{reason}"):
-            bundle.controller()
+        policy = saved(untrained(env), env, tmp_path / "a.policy")
+        assert env.unwrapped.action_space.contains(policy.act(env.reset(seed=0)[0]))
+        with pytest.raises(PolicyError, match=f"the policy cannot be deployed: .*{reason}"):
+            policy.wrap(env)
 
     def test_wrappers_that_belong_to_the_policy_come_along(self, tmp_path):
         features = ["centroid", POINTS]
         env = PointReward(ShapeGoal(cable(features=features), features=features, threshold=1.0), threshold=0.02)
-        save_bundle(learner(env), env, tmp_path / "a.policy")
-        bundle = load_bundle(tmp_path / "a.policy")
-        cell = bundle.wrap(TestMismatch().cell(bundle, {}, 20), scene=BLUE)
+        policy = saved(untrained(env), env, tmp_path / "a.policy")
+        cell = policy.wrap(TestMismatch().cell(policy, {}, 20), scene=BLUE)
         assert isinstance(cell, PointReward)
         assert cell.threshold == 0.02
-        bundle.check_env(cell)
+        policy.check_env(cell)
 
 
 # ---- goals of several slots
@@ -137,29 +126,28 @@ class TestDeployable:
 
 @pytest.fixture
 def made() -> Iterator[Any]:
-    gym.register("BundleStrips-v0", "goal_envs:StripsEnv")
-    yield lambda: gym.make("BundleStrips-v0", disable_env_checker=True)
-    del gym.registry["BundleStrips-v0"]
+    gym.register("PolicyStrips-v0", "goal_envs:StripsEnv")
+    yield lambda: gym.make("PolicyStrips-v0", disable_env_checker=True)
+    del gym.registry["PolicyStrips-v0"]
 
 
-def saved(made: Any, path: Any, wrap: Any = lambda env: env) -> Any:
+def strips(made: Any, path: Any, wrap: Any = lambda env: env) -> Any:
     source = observing_strips()
     config, features = source.detector.config.to_dict(), source.features
     env = wrap(ShapeObservation(made(), features=features, **config))
-    save_bundle(learner(env), env, path)
-    return load_bundle(path)
+    return saved(untrained(env), env, path)
 
 
 def test_the_slots_that_had_goals_have_them_on_a_robot_too(made, tmp_path):
-    bundle = saved(made, tmp_path / "a.policy")
+    policy = strips(made, tmp_path / "a.policy")
     cell = StripsEnv(goals=False)
-    env = bundle.wrap(cell, scene={"segmentation": observing_strips().detector.config.segmentation})
+    env = policy.wrap(cell, scene={"segmentation": observing_strips().detector.config.segmentation})
     assert isinstance(env, ShapeGoal)
     assert env.names == ("strip0", "strip1")
     cell.reset(seed=0)
     observation, _ = env.reset(seed=0, options={"goal": cell.points(cell.end)})
     assert observation["desired_goal"].shape == (72,)
-    assert env.action_space.contains(bundle.act(observation))
+    assert env.action_space.contains(policy.act(observation))
     with pytest.raises(ValueError, match=r"expected goals of 2 shapes"):
         env.reset(options={"goal": cell.points(cell.end)[0]})
 
@@ -169,17 +157,11 @@ def test_recorded_goals_of_several_come_along(made, tmp_path):
     source.reset(seed=0)
     inner: Any = source.unwrapped
     goals: Any = dict(zip(("strip0", "strip1"), inner.points(inner.end).tolist(), strict=True))
-    bundle = saved(made, tmp_path / "a.policy", lambda env: ShapeGoal(env, goals))
-    assert bundle.has_goal
-    again = bundle.make_env()
+    policy = strips(made, tmp_path / "a.policy", lambda env: ShapeGoal(env, goals))
+    assert policy.has_goal
+    again = policy.wrap(StripsEnv(goals=False), scene={"segmentation": source.detector.config.segmentation})
     assert again.names == ("strip0", "strip1")
     np.testing.assert_allclose(again.reset(seed=0)[0]["desired_goal"][:3], goals["strip0"][0], atol=1e-4)
-
-
-def test_a_configuration_in_one_of_several_goals_is_checked():
-    goal = {"strip0": {"points": [[0, 0, 0]], "configuration": {"kind": "no such kind"}}}
-    with pytest.raises((BundleError, ValueError), match="no such kind"):
-        check_goal({"goal": goal}, "the goal")
 
 
 # ---- ``shape-obs deploy BUNDLE``, before a simulated robot whose camera is a software D455
@@ -191,8 +173,8 @@ with_d455 = pytest.mark.skipif(not find_spec("pyrealsense2"), reason="the softwa
 @pytest.fixture(scope="module")
 def path(tmp_path_factory) -> Any:
     """Return an untrained policy for points in the base frame at 20 Hz."""
-    path = tmp_path_factory.mktemp("bundle") / "cable.policy"
-    save_bundle(learner(cable()), cable(), path)
+    path = tmp_path_factory.mktemp("policy") / "cable.policy"
+    save_policy(untrained(cable()), cable(), path)
     return path
 
 
@@ -204,7 +186,7 @@ def test_the_next_command_names_the_robot_of_the_training(path, tmp_path):
     robot = "--source robot --robot shape_obs_envs.robots:SimulatedRobot"
     assert deploy_command(path) == f"shape-obs deploy {path} {robot} --goal robot --episodes 20"
     env = ShapeObservation(gym.make("shape_obs_envs:ShapeObs/Hanging-v0", camera=[84, 84], grippers=1, step=0.01))
-    save_bundle(learner(env), env, tmp_path / "hanging one.policy")
+    save_policy(untrained(env), env, tmp_path / "hanging one.policy")
     words = shlex.split(deploy_command(tmp_path / "hanging one.policy"))
     assert words[2] == str(tmp_path / "hanging one.policy")
     assert words[7:11] == ["--robot-set", "env=ShapeObs/Hanging-v0", "grippers=1", "step=0.01"]
@@ -265,20 +247,3 @@ def test_another_rate_is_a_warning_and_a_robot_without_goals_is_reported(run, pa
     assert code == 1
     assert "--rate 10: the policy was trained at 20 steps per second" in err
     assert "in the base frame, but this camera has no extrinsics" in err or "NullRobot provides no goals" in err
-
-
-def test_a_bundle_that_runs_code_needs_trust(run, path, tmp_path):
-    from shape_obs.deploy.policy_bundle.archive import read_archive, write_archive
-
-    members = dict(read_archive(path).members)
-    record = json.loads(members["policy.json"])
-    record["network"]["arguments"]["activation_fn"] = "torch.nn:Softshrink"
-    write_archive(tmp_path / "own.policy", {**members, "policy.json": json.dumps(record).encode()})
-    code, _, err = run("deploy", tmp_path / "own.policy", *CELL)
-    assert code == 1
-    assert "Load it with trust=True (--trust on the command line) only if you trust who made the file" in err
-    code, _, err = run("deploy", tmp_path / "own.policy", "--trust", *CELL)
-    assert code == 2
-    assert "give --goal FILE, or --goal robot if the robot is simulated" in err
-    code, _, err = run("deploy", "--trust", *CELL)
-    assert "--trust: only for a trained policy, and none is given" in err

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import shlex
 
-from shape_obs.deploy.policy_bundle.documents import BundleError
-from shape_obs.deploy.policy_bundle.storage import load_bundle
+from shape_obs.policy.contract import PolicyError
+from shape_obs.policy.policy import load_policy
 
 _ROBOT = "shape_obs_envs.robots:SimulatedRobot"
 _DEFAULT_ENV = "ShapeObs/Cable-v0"  # of the simulated robot
@@ -18,21 +18,22 @@ def deploy_command(path: str | os.PathLike[str]) -> str:
     """Return the ``shape-obs deploy`` command that tries a policy on a simulated robot, for a shell.
 
     Args:
-        path: A bundle, as ``save_bundle`` writes it.
+        path: A policy, as ``save_policy`` writes it.
 
     Raises:
-        BundleError: The policy cannot run with a camera; the message gives the reason.
+        PolicyError: The policy cannot run with a camera; the message gives the reason.
     """
-    bundle = load_bundle(path)
-    bundle.check_deployable()
-    env = (bundle.spec.id or "").rpartition(":")[2]
+    policy = load_policy(path)
+    policy.check_deployable()
+    trained = policy.spec.trained.get("env") or {}
+    env = str(trained.get("id", "")).rpartition(":")[2]
     if not env.startswith("ShapeObs/"):
-        raise BundleError(f"{env} has no simulated robot here: run `shape-obs deploy {path} --robot module:Class`.")
+        raise PolicyError(f"{env} has no simulated robot here: run `shape-obs deploy {path} --robot module:Class`.")
     words = ["shape-obs", "deploy", str(path), "--source", "robot", "--robot", _ROBOT]
-    task = {name: value for name, value in bundle.spec.kwargs.items() if name in _SAME_TASK}
+    task = {name: value for name, value in trained["kwargs"].items() if name in _SAME_TASK}
     settings = [f"{name}={value}" for name, value in ({"env": env} | task).items() if value != _DEFAULT_ENV]
     if settings:
         words += ["--robot-set", *settings]
-    if bundle.needs_goal and not bundle.has_goal:
+    if policy.spec.needs_goal and not policy.spec.has_goal:
         words += ["--goal", "robot"]
     return shlex.join([*words, "--episodes", "20"])
