@@ -161,5 +161,9 @@ def _with_training_defaults(args: ControllerArguments, policy: Any) -> Controlle
             UserWarning,
             stacklevel=2,
         )
-    steps = (policy.spec.trained.get("env") or {}).get("max_episode_steps") if args.episodes is not None and args.steps is None else args.steps
+    steps = (
+        (policy.spec.trained.get("env") or {}).get("max_episode_steps")
+        if args.episodes is not None and args.steps is None
+        else args.steps
+    )
     return replace(args, steps=steps)

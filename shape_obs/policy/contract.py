@@ -29,10 +29,22 @@ _MOST_BYTES: Final = 16 << 20
 _MOST_TENSORS: Final = 64
 _MOST_DIMENSIONS: Final = 5
 _MOST_TEXT: Final = 65_536
-_DTYPES: Final = ("bool", "uint8", "int8", "uint16", "int16", "uint32", "int32", "int64", "float16", "float32", "float64")
+_DTYPES: Final = (
+    "bool",
+    "uint8",
+    "int8",
+    "uint16",
+    "int16",
+    "uint32",
+    "int32",
+    "int64",
+    "float16",
+    "float32",
+    "float64",
+)
 #: Largest numbers of a configuration, so that a detector for it is built in a moment: by name, and all others.
-_MOST: Final = {"n": 1000, "rows": 100, "cols": 100, "count": 100, "epochs": 100, "harmonics": 64, "degree": 32,
-                "coefficients": 200, "open": 255, "close": 255, "n_init": 20, "max_iter": 1000, "steps": 1000}  # fmt: skip
+_MOST: Final = {"n": 1000, "rows": 100, "cols": 100, "count": 100, "epochs": 100, "harmonics": 64,
+                "degree": 32, "coefficients": 200, "open": 255, "close": 255, "n_init": 20, "max_iter": 1000, "steps": 1000}  # fmt: skip
 _MOST_NUMBER: Final = 1e6
 _MOST_SHAPES, _MOST_FEATURES, _MOST_POINTS = 8, 16, 4096
 
@@ -62,7 +74,9 @@ class Tensor(Spec):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.dtype not in _DTYPES or len(self.shape) > _MOST_DIMENSIONS or any(side < 1 for side in self.shape):
-            raise PolicyError(f"expected up to {_MOST_DIMENSIONS} sides and a type of {', '.join(_DTYPES)}, got {self}.")
+            raise PolicyError(
+                f"expected up to {_MOST_DIMENSIONS} sides and a type of {', '.join(_DTYPES)}, got {self}."
+            )
         if math.prod(self.shape) * 8 > _MOST_BYTES:
             raise PolicyError(f"expected a tensor of at most {_MOST_BYTES} bytes, got shape {self.shape}.")
 
@@ -155,7 +169,9 @@ class Contract(Spec):
             PolicyError: The message gives the reason.
             ValueError: A value is invalid.
         """
-        unknown = [wrapper.get("name") for wrapper in self.wrappers if wrapper.get("name") not in ("ShapeGoal", "PointReward")]
+        unknown = [
+            wrapper.get("name") for wrapper in self.wrappers if wrapper.get("name") not in ("ShapeGoal", "PointReward")
+        ]
         if unknown:
             raise PolicyError(f"wrappers: expected ShapeGoal and PointReward, got {unknown[0]!r:.40}.")
         _check_values([self.config, *self.wrappers], "config")
@@ -168,9 +184,8 @@ class Contract(Spec):
                 raise PolicyError(f"config: the segmentation is code to import, {config.code_paths[0]!r:.100}.")
             points = sum(shape.layout.size for shape in config.shapes)
             if len(config.shapes) > _MOST_SHAPES or points > _MOST_POINTS or len(features) > _MOST_FEATURES:
-                raise PolicyError(
-                    f"config: expected at most {_MOST_SHAPES} shapes, {_MOST_POINTS} points and {_MOST_FEATURES} features."
-                )
+                most = f"{_MOST_SHAPES} shapes, {_MOST_POINTS} points and {_MOST_FEATURES} features"
+                raise PolicyError(f"config: expected at most {most}.")
             here = schema_hash(self.config)
         if here != self.schema:
             raise PolicyError(

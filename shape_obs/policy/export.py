@@ -21,7 +21,7 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.policy.contract import Contract, PolicyError, observation_inputs, surroundings
+from shape_obs.policy.contract import Contract, PolicyError, surroundings
 from shape_obs.policy.policy import CONTRACT, NETWORK, REPLAY, policy_from
 from shape_obs.robot import ActionSpec
 from shape_obs.spec import to_plain
@@ -245,9 +245,12 @@ def _stages(env: gym.Env[Any, Any], copied: bool) -> tuple[gym.Env[Any, Any], li
                 )
             stages.insert(0, stage)
         elif change is not None:
-            changes.insert(0, (change, inner.action))
+            own: Any = inner
+            changes.insert(0, (change, own.action))
         elif isinstance(inner, gym.ActionWrapper):
-            raise PolicyError(f"a policy cannot hold how {name} changes actions; it can hold RescaleAction and ClipAction.")
+            raise PolicyError(
+                f"a policy cannot hold how {name} changes actions; it can hold RescaleAction and ClipAction."
+            )
         elif name not in _TRANSPARENT:
             source = source or inner
             _refuse_statistics(inner)
@@ -318,7 +321,9 @@ def _env_of(env: gym.Env[Any, Any]) -> dict[str, Any] | None:
     spec = env.spec
     if spec is None:
         return None
-    plain = {name: value for name, value in spec.kwargs.items() if isinstance(value, (str, int, float, bool, list, tuple))}
+    plain = {
+        name: value for name, value in spec.kwargs.items() if isinstance(value, (str, int, float, bool, list, tuple))
+    }
     return {"id": spec.id, "kwargs": to_plain(plain), "max_episode_steps": spec.max_episode_steps}
 
 
@@ -330,7 +335,9 @@ def _versions() -> dict[str, str]:
 # ---- The replay
 
 
-def _play(model: BaseAlgorithm, source: Any, stages: Sequence[Stage], changes: Sequence[Any], mask: int | None) -> dict[str, Array]:
+def _play(
+    model: BaseAlgorithm, source: Any, stages: Sequence[Stage], changes: Sequence[Any], mask: int | None
+) -> dict[str, Array]:
     """Return observations, and the actions that the learner itself computes for them behind its own wrappers."""
     random = np.random.default_rng(0)
     moments = stages[0].moments if stages else {}
@@ -341,21 +348,23 @@ def _play(model: BaseAlgorithm, source: Any, stages: Sequence[Stage], changes: S
     starts = np.arange(_REPLAYED) % (_REPLAYED // 2) == 0
     for start in starts:
         values = {key: _drawn(space, random, moments.get(key)) for key, space in spaces.items()}
-        seen = observation = values[""] if "" in values else values
+        seen = observation = values.get("", values)
         for stage in stages:
             seen = stage.own(seen, bool(start))
         options: dict[str, Any] = {}
         if mask is not None:
             masks.append(np.append(random.random(mask - 1) < 0.7, True))  # at least one action is allowed
             options["action_masks"] = masks[-1]
-        action, state = model.predict(
-            seen, state=state, episode_start=np.array([start]), deterministic=True, **options
-        )
+        action, state = model.predict(seen, state=state, episode_start=np.array([start]), deterministic=True, **options)
         for change in reversed(changes):
             action = change(action)
         observations.append(observation)
         actions.append(action)
-    return _columns(observations) | {"action": np.asarray(actions), "start": starts} | ({"mask": np.asarray(masks)} if masks else {})
+    return (
+        _columns(observations)
+        | {"action": np.asarray(actions), "start": starts}
+        | ({"mask": np.asarray(masks)} if masks else {})
+    )
 
 
 def _drawn(space: Any, random: np.random.Generator, moments: Any) -> Array:

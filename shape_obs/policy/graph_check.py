@@ -21,17 +21,20 @@ _MOST_NODES: Final = 5000
 _ITEM_BYTES: Final = 8  # of the widest type
 _DOMAINS: Final = ("", "ai.onnx")
 #: Operators without subgraphs, randomness, texts, sequences or results of unknown shape.
-_OPERATORS: Final = frozenset(
-    """Abs Add And ArgMax ArgMin AveragePool BatchNormalization BitShift Cast CastLike Ceil Celu Clip Concat Constant
-    ConstantOfShape Conv Cos CumSum Div Elu Equal Erf Exp Expand Flatten Floor Gather GatherElements
-    GatherND Gelu Gemm GlobalAveragePool GlobalMaxPool Greater GreaterOrEqual GroupNormalization GRU HardSigmoid
-    HardSwish Hardmax Identity InstanceNormalization IsInf IsNaN LayerNormalization LeakyRelu Less LessOrEqual Log
-    LogSoftmax LRN LSTM MatMul Max MaxPool Mean Min Mish Mod Mul Neg Not OneHot Or Pad Pow PRelu Range Reciprocal
-    ReduceL1 ReduceL2 ReduceLogSum ReduceLogSumExp ReduceMax ReduceMean ReduceMin ReduceProd ReduceSum
-    ReduceSumSquare Relu Reshape RMSNormalization RNN Round Selu Shape Sigmoid Sign Sin Size Slice Softmax Softplus
-    Softsign Split Sqrt Squeeze Sub Sum Swish Tan Tanh ThresholdedRelu Tile TopK Transpose Trilu Unsqueeze Where
-    Xor""".split()
-)
+_OPERATORS: Final = frozenset({
+    "Abs", "Add", "And", "ArgMax", "ArgMin", "AveragePool", "BatchNormalization", "BitShift", "Cast",
+    "CastLike", "Ceil", "Celu", "Clip", "Concat", "Constant", "ConstantOfShape", "Conv", "Cos", "CumSum", "Div",
+    "Elu", "Equal", "Erf", "Exp", "Expand", "Flatten", "Floor", "GRU", "Gather", "GatherElements", "GatherND",
+    "Gelu", "Gemm", "GlobalAveragePool", "GlobalMaxPool", "Greater", "GreaterOrEqual", "GroupNormalization",
+    "HardSigmoid", "HardSwish", "Hardmax", "Identity", "InstanceNormalization", "IsInf", "IsNaN", "LRN", "LSTM",
+    "LayerNormalization", "LeakyRelu", "Less", "LessOrEqual", "Log", "LogSoftmax", "MatMul", "Max", "MaxPool",
+    "Mean", "Min", "Mish", "Mod", "Mul", "Neg", "Not", "OneHot", "Or", "PRelu", "Pad", "Pow",
+    "RMSNormalization", "RNN", "Range", "Reciprocal", "ReduceL1", "ReduceL2", "ReduceLogSum", "ReduceLogSumExp",
+    "ReduceMax", "ReduceMean", "ReduceMin", "ReduceProd", "ReduceSum", "ReduceSumSquare", "Relu", "Reshape",
+    "Round", "Selu", "Shape", "Sigmoid", "Sign", "Sin", "Size", "Slice", "Softmax", "Softplus", "Softsign",
+    "Split", "Sqrt", "Squeeze", "Sub", "Sum", "Swish", "Tan", "Tanh", "ThresholdedRelu", "Tile", "TopK",
+    "Transpose", "Trilu", "Unsqueeze", "Where", "Xor",
+})  # fmt: skip
 _RECURRENT: Final = ("LSTM", "GRU", "RNN")
 
 Shapes = dict[str, tuple[int, ...]]
@@ -62,9 +65,9 @@ def check_graph(data: bytes) -> onnx.ModelProto:
     except PolicyError:
         raise
     except (DecodeError, EncodeError, onnx.checker.ValidationError, onnx.shape_inference.InferenceError) as error:
-        raise PolicyError(f"not a network of ONNX, or a damaged one: {str(error):.300}") from error
+        raise PolicyError(f"not a network of ONNX, or a damaged one: {error!s:.300}") from error
     except (RuntimeError, ValueError, TypeError, IndexError, KeyError, AttributeError, MemoryError) as error:
-        raise PolicyError(f"the network cannot be understood: {str(error):.300}") from error
+        raise PolicyError(f"the network cannot be understood: {error!s:.300}") from error
     return model
 
 
@@ -79,9 +82,16 @@ def _check_parts(model: onnx.ModelProto) -> None:
         raise PolicyError(f"expected at most {_MOST_NODES} operators, got {len(model.graph.node)}.")
     for node in model.graph.node:
         if node.domain not in _DOMAINS or node.op_type not in _OPERATORS:
-            raise PolicyError(f"the operator {node.domain[:40]}{'.' if node.domain else ''}{node.op_type[:40]} is not allowed.")
+            raise PolicyError(
+                f"the operator {node.domain[:40]}{'.' if node.domain else ''}{node.op_type[:40]} is not allowed."
+            )
         for attribute in node.attribute:
-            if attribute.HasField("g") or attribute.graphs or attribute.HasField("sparse_tensor") or attribute.sparse_tensors:
+            if (
+                attribute.HasField("g")
+                or attribute.graphs
+                or attribute.HasField("sparse_tensor")
+                or attribute.sparse_tensors
+            ):
                 raise PolicyError(f"the operator {node.op_type} has a subgraph or a sparse tensor.")
     for tensor in _tensors(model):
         if tensor.data_location == TensorProto.EXTERNAL or tensor.external_data:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
+import numpy as np
 import torch
 from stable_baselines3.common.policies import BaseModel
 
@@ -52,9 +53,13 @@ def head_of(model: BaseAlgorithm) -> Head:
     if hasattr(policy, "q_net"):  # DQN
         return Head(lambda seen, states, mask: (policy.q_net(seen).argmax(1), {}))
     if hasattr(policy, "lstm_actor"):  # RecurrentPPO
-        return Head(_recurrent(policy), {name: torch.zeros(policy.lstm_hidden_state_shape) for name in ("lstm_h", "lstm_c")})
+        return Head(
+            _recurrent(policy), {name: torch.zeros(policy.lstm_hidden_state_shape) for name in ("lstm_h", "lstm_c")}
+        )
     if hasattr(policy, "action_net") and hasattr(policy, "mlp_extractor"):  # PPO, A2C, TRPO, MaskablePPO
-        masked = type(policy).__module__.startswith("sb3_contrib.common.maskable") or hasattr(policy.action_dist, "apply_masking")
+        masked = type(policy).__module__.startswith("sb3_contrib.common.maskable") or hasattr(
+            policy.action_dist, "apply_masking"
+        )
         mask = _mask_size(space) if masked else None
 
         def act(seen: Any, states: Values, mask: Any) -> tuple[torch.Tensor, Values]:
@@ -96,7 +101,7 @@ def _recurrent(policy: Any) -> Any:
 def _mask_size(space: Any) -> int:
     if isinstance(space, gym.spaces.Discrete):
         return int(space.n)
-    return int(sum(space.nvec)) if isinstance(space, gym.spaces.MultiDiscrete) else 2 * int(space.n)
+    return int(sum(space.nvec)) if isinstance(space, gym.spaces.MultiDiscrete) else 2 * int(np.prod(space.shape))
 
 
 def _mode(policy: Any, outcome: torch.Tensor, mask: Any) -> torch.Tensor:
@@ -109,7 +114,7 @@ def _mode(policy: Any, outcome: torch.Tensor, mask: Any) -> torch.Tensor:
     logits = outcome if mask is None else torch.where(mask, outcome, _MASKED)
     if isinstance(space, gym.spaces.Discrete):
         return logits.argmax(1)
-    sizes = space.nvec.tolist() if isinstance(space, gym.spaces.MultiDiscrete) else [2] * int(space.n)
+    sizes = space.nvec.tolist() if isinstance(space, gym.spaces.MultiDiscrete) else [2] * int(np.prod(space.shape))
     return torch.stack([part.argmax(1) for part in torch.split(logits, sizes, dim=1)], dim=1)
 
 
@@ -128,7 +133,9 @@ def _bounded(policy: Any, action: torch.Tensor) -> torch.Tensor:
 class _Network(torch.nn.Module):
     """Compute the action for the observation of the environment, with all stages of the training."""
 
-    def __init__(self, model: BaseAlgorithm, stages: Sequence[Stage], head: Head, actions: Sequence[Any], dtype: Any) -> None:
+    def __init__(
+        self, model: BaseAlgorithm, stages: Sequence[Stage], head: Head, actions: Sequence[Any], dtype: Any
+    ) -> None:
         super().__init__()
         self.policy, self.stages, self.head, self.actions, self.dtype = model.policy, stages, head, actions, dtype
         self.spaces = spaces_by_key(model.observation_space)
@@ -141,7 +148,7 @@ class _Network(torch.nn.Module):
         for key, space in self.spaces.items():
             if isinstance(space, gym.spaces.Box) and tuple(values[key].shape[1:]) != space.shape:  # an image (H, W, C)
                 values = {**values, key: values[key].permute(0, 3, 1, 2)}
-        seen = values[""] if "" in values else values
+        seen = values.get("", values)
         action, new = self.head.compute(seen, {name: states[name] for name in self.head.states}, masks.get(MASK))
         following |= new
         for change in reversed(self.actions):
@@ -191,7 +198,7 @@ def export(
                 verbose=False,
             )
     except (torch.onnx.errors.OnnxExporterError, RuntimeError, ValueError, TypeError) as error:
-        raise PolicyError(f"PyTorch cannot export {type(model.policy).__name__}: {str(error):.500}") from error
+        raise PolicyError(f"PyTorch cannot export {type(model.policy).__name__}: {error!s:.500}") from error
     finally:
         network.to(before)
     data = program.model_proto.SerializeToString()  # type: ignore[union-attr]

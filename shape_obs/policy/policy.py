@@ -14,14 +14,22 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 import onnxruntime
-from onnxruntime.capi import onnxruntime_pybind11_state as pybind
+from onnxruntime.capi import onnxruntime_pybind11_state as pybind  # pyright: ignore[reportAttributeAccessIssue]
 
 from shape_obs.config.config_file import SCENE_FIELDS, SECTIONS
 from shape_obs.config.detector_config import ALGORITHM
 from shape_obs.configurations.base import Configuration
 from shape_obs.features import Points3D
 from shape_obs.policy import graph_check
-from shape_obs.policy.contract import Contract, Difference, PolicyError, Tensor, differences, format_differences, surroundings
+from shape_obs.policy.contract import (
+    Contract,
+    Difference,
+    PolicyError,
+    Tensor,
+    differences,
+    format_differences,
+    surroundings,
+)
 from shape_obs.robot import ActionSpec
 from shape_obs.utils.arrays import decode_npz
 from shape_obs.utils.documents import parse_yaml
@@ -79,7 +87,7 @@ def load_policy(path: str | os.PathLike[str]) -> Policy:
 
 
 def policy_from(members: Mapping[str, bytes]) -> Policy:
-    """Create a policy from the content of its three files, after checking each; ``load_policy`` lists what is refused."""
+    """Create a policy from the content of its three files, after the checks of ``load_policy``."""
     try:
         described = parse_yaml(members[CONTRACT], CONTRACT)
         spec = Contract.from_dict(described)
@@ -87,7 +95,7 @@ def policy_from(members: Mapping[str, bytes]) -> Policy:
     except PolicyError:
         raise
     except (ValueError, TypeError, KeyError, AttributeError, ArithmeticError) as error:
-        raise PolicyError(f"{CONTRACT} cannot be understood: {str(error):.500}") from error
+        raise PolicyError(f"{CONTRACT} cannot be understood: {error!s:.500}") from error
     for name in (NETWORK, REPLAY):
         if spec.sha256.get(name) != hashlib.sha256(members[name]).hexdigest():
             raise PolicyError(f"{name} was changed, or is damaged: its SHA-256 is not the recorded one. Copy it again.")
@@ -117,7 +125,9 @@ def _read(path: Path) -> dict[str, bytes]:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
             if sorted(names) != sorted(_MOST_BYTES):
-                raise PolicyError(f"expected a zip of {', '.join(_MOST_BYTES)}, got {', '.join(sorted(names))[:200]!r}.")
+                raise PolicyError(
+                    f"expected a zip of {', '.join(_MOST_BYTES)}, got {', '.join(sorted(names))[:200]!r}."
+                )
             _check_sizes({info.filename: info.file_size for info in archive.infolist()})
             return {name: archive.read(name) for name in names}
     except PolicyError:
@@ -160,7 +170,7 @@ class Policy:
                 model.SerializeToString(), options, providers=["CPUExecutionProvider"]
             )
         except _FAILED as error:
-            raise PolicyError(f"{NETWORK}: onnxruntime cannot run it: {str(error):.300}") from error
+            raise PolicyError(f"{NETWORK}: onnxruntime cannot run it: {error!s:.300}") from error
         self._check_interface()
         self._outputs = [spec.output, *(state["output"] for state in spec.states.values())]
         self._tensors = list(spec.tensors.items())
@@ -199,11 +209,11 @@ class Policy:
         if action_mask is not None:
             feed["action_mask"] = np.asarray(action_mask, bool).reshape(1, -1)
         try:
-            action, *states = self._session.run(self._outputs, feed)
+            results: Any = self._session.run(self._outputs, feed)
         except _FAILED as error:
-            raise PolicyError(f"the network failed: {str(error):.300}") from error
-        self._states = dict(zip(self._states, states, strict=True))
-        action = action[0]
+            raise PolicyError(f"the network failed: {error!s:.300}") from error
+        action = results[0][0]
+        self._states = dict(zip(self._states, results[1:], strict=True))
         if not np.isfinite(action).all():
             raise PolicyError("the policy returned an action that is not finite.")
         return action
@@ -232,8 +242,8 @@ class Policy:
             difference = action_difference(self.spec, action, replay["action"][i])
             if not difference <= TOLERANCE:
                 raise PolicyError(
-                    f"the network does not compute what the learner did: action {i} of {count} differs by {difference:.2g} "
-                    "of its range."
+                    f"the network does not compute what the learner did: action {i} of {count} differs by "
+                    f"{difference:.2g} of its range."
                 )
         self.reset()
 
@@ -253,7 +263,9 @@ class Policy:
 
     # ---- Other environments
 
-    def wrap(self, env: gym.Env[Any, Any], goal: Any = None, scene: Mapping[str, Any] | None = None) -> gym.Env[Any, Any]:
+    def wrap(
+        self, env: gym.Env[Any, Any], goal: Any = None, scene: Mapping[str, Any] | None = None
+    ) -> gym.Env[Any, Any]:
         """Wrap an environment, usually a camera and a robot, so that the policy can read its observations.
 
         If the environment of the training had its own goals, a ``ShapeGoal`` provides them here.

@@ -113,8 +113,7 @@ def _stacked(wrapper: gym.wrappers.FrameStackObservation) -> Stage:
         started, stacks = states[_FILLED], {}
         for key, value in values.items():
             old = states[f"frames_{key}"]
-            first = (padding[key] if key in padding else value)[(None,) * (1 + (key in padding))]
-            first = first.reshape(1, 1, *old.shape[2:]).expand(old.shape)
+            first = padding.get(key, value).reshape(1, 1, *old.shape[2:]).expand(old.shape)
             old = torch.where(started.reshape((1,) * old.dim()) > 0, old, first)
             stacks[key] = torch.cat([old[:, 1:], value[:, None]], dim=1)
         following = {f"frames_{key}": stack for key, stack in stacks.items()}
@@ -131,7 +130,11 @@ class _Player(gym.Env[Any, Any]):
     """Return a given observation."""
 
     def __init__(self, env: Any, observation: Any) -> None:
-        self.observation_space, self.action_space, self._observation = env.observation_space, env.action_space, observation
+        self.observation_space, self.action_space, self._observation = (
+            env.observation_space,
+            env.action_space,
+            observation,
+        )
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         return self._observation, {}
@@ -152,7 +155,9 @@ def _vec_stacked(wrapper: VecFrameStack) -> Stage:
         following = {}
         for key, value in values.items():
             axis = 1 if parts[key].channels_first else value.dim() - 1
-            old = states[f"stack_{key}"].narrow(axis, value.shape[axis], states[f"stack_{key}"].shape[axis] - value.shape[axis])
+            old = states[f"stack_{key}"].narrow(
+                axis, value.shape[axis], states[f"stack_{key}"].shape[axis] - value.shape[axis]
+            )
             following[key] = torch.cat([old, value], dim=axis)
         return following, {f"stack_{key}": stack for key, stack in following.items()}
 
@@ -200,12 +205,12 @@ def _reshaped(wrapper: gym.wrappers.ReshapeObservation) -> Stage:
 
 def _batch(observation: Any) -> Any:
     values = {key: np.asarray(value)[None] for key, value in by_key(observation).items()}
-    return values[""] if "" in values else values
+    return values.get("", values)
 
 
 def _first(observation: Any) -> Any:
     values = {key: np.array(value[0]) for key, value in by_key(observation).items()}
-    return values[""] if "" in values else values
+    return values.get("", values)
 
 
 _MAKERS: Final[Mapping[type, Callable[[Any], Stage]]] = {

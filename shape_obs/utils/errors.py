@@ -8,7 +8,13 @@ from contextlib import contextmanager
 from typing import Any, Final
 
 #: Extras of the libraries whose absence is not reported where they are imported.
-_EXTRAS: Final[Mapping[str, str]] = {"stable_baselines3": "sb3", "torch": "sb3", "onnxscript": "sb3", "onnx": "deploy", "onnxruntime": "deploy"}
+_EXTRAS: Final[Mapping[str, str]] = {
+    "stable_baselines3": "sb3",
+    "torch": "sb3",
+    "onnxscript": "sb3",
+    "onnx": "deploy",
+    "onnxruntime": "deploy",
+}
 
 
 class SpecError(ValueError):

@@ -85,7 +85,10 @@ STACKS: dict[str, Any] = {
     "VecFrameStack": lambda: ("Mlp", vector(Sampled, ("VecFrameStack", {"n_stack": 4}), ("VecNormalize", {}), count=2)),
     "VecFrameStack outside": lambda: ("Mlp", vector(Sampled, ("VecNormalize", {}), ("VecFrameStack", {"n_stack": 4}))),
     "RescaleAction": lambda: ("Mlp", W.RescaleAction(Sampled(), np.float32(-2), np.float32(2))),
-    "goals": lambda: ("MultiInput", vector(lambda: Sampled(GOALS), ("VecNormalize", {"norm_obs_keys": ["observation"]}))),
+    "goals": lambda: (
+        "MultiInput",
+        vector(lambda: Sampled(GOALS), ("VecNormalize", {"norm_obs_keys": ["observation"]})),
+    ),
     "filter": lambda: ("MultiInput", W.FilterObservation(Sampled(GOALS), ["observation", "desired_goal"])),
     "reshape": lambda: ("Mlp", W.ReshapeObservation(Sampled(), (5, 1))),
     "image": lambda: ("Cnn", Sampled(IMAGE)),
@@ -114,7 +117,7 @@ def test_wrappers_become_part_of_the_network(name, tmp_path):
 @pytest.mark.parametrize("algorithm", ["SAC", "PPO"])
 def test_state_dependent_exploration_in_its_deterministic_mode(algorithm, tmp_path):
     env = Sampled()
-    options = {"policy_kwargs": {"squash_output": True}} if algorithm == "PPO" else {}
+    options: Any = {"policy_kwargs": {"squash_output": True}} if algorithm == "PPO" else {}
     model = learner(env, algorithm, use_sde=True, **options)
     policy = saved(model, env, tmp_path / "a.policy")
     assert actions(policy, model, [VECTOR.sample() for _ in range(100)]) < 1e-5
@@ -158,10 +161,10 @@ class Noisy(gym.ActionWrapper[Any, Any, Any]):
     [
         (lambda: Counting(Sampled()), r"statistics that the wrapper Counting keeps in 'running_mean'"),
         (lambda: Counting(W.NormalizeObservation(Sampled())), "Counting keeps in 'running_mean'"),
-        (lambda: W.DtypeObservation(W.NormalizeObservation(Sampled()), np.float64), "NormalizeObservation keeps in 'obs_rms'"),
+        (lambda: W.DtypeObservation(W.NormalizeObservation(Sampled()), np.float64), "keeps in 'obs_rms'"),
         (lambda: Noisy(Sampled()), "a policy cannot hold how Noisy changes actions"),
-        (lambda: vector(Sampled, ("VecExtractDictObs", {"key": "observation"})), "VecExtractDictObs changes observations"),
-        (lambda: vector(lambda: W.NormalizeObservation(Sampled()), count=2), "each of several environments has its own"),
+        (lambda: vector(Sampled, ("VecExtractDictObs", {"key": "observation"})), "VecExtractDictObs changes"),
+        (lambda: vector(lambda: W.NormalizeObservation(Sampled()), count=2), "each of several environments has"),
     ],
 )  # fmt: skip
 def test_what_a_policy_cannot_hold_is_refused_by_name(make, message, tmp_path, monkeypatch):
@@ -181,10 +184,10 @@ def test_a_policy_that_computes_something_else_is_found_out(tmp_path):
     model = learner(Sampled())
     own = model.policy.predict
     model.policy.predict = lambda *args, **options: (own(*args, **options)[0] + 0.5, None)
-    with pytest.raises(PolicyError, match="the network does not compute what the learner did: action 0 of 64"):
+    with pytest.raises(PolicyError, match=r"the network does not compute what the learner did: action 0 of 64"):
         save_policy(model, Sampled(), tmp_path / "a.policy")
     model.policy = SimpleNamespace(action_space=FORCE)
-    with pytest.raises(PolicyError, match="the policy SimpleNamespace of PPO .* use save_policy_onnx"):
+    with pytest.raises(PolicyError, match=r"the policy SimpleNamespace of PPO .* use save_policy_onnx"):
         save_policy(model, Sampled(), tmp_path / "a.policy")
 
 
@@ -196,7 +199,9 @@ def test_networks_of_other_learners(tmp_path):
     wanted = [network(torch.from_numpy(one)).detach().numpy() for one in seen]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        torch.onnx.export(network, (torch.zeros(1, 5),), tmp_path / "own.onnx", dynamo=True, external_data=False, verbose=False)
+        torch.onnx.export(
+            network, (torch.zeros(1, 5),), tmp_path / "own.onnx", dynamo=True, external_data=False, verbose=False
+        )
     env = Sampled(spaces.Box(-3, 3, (5,)))
     save_policy_onnx(tmp_path / "a.policy", tmp_path / "own.onnx", env, seen, wanted, summary={"learner": "own"})
     policy = load_policy(tmp_path / "a.policy")

@@ -31,7 +31,10 @@ def network(change: Callable[[Any], Any] = lambda graph: None, domain: str = "")
     weights = np.random.default_rng(0).standard_normal((SIZE, 2)).astype(np.float32)
     value = helper.make_tensor_value_info
     graph = helper.make_graph(
-        [helper.make_node("MatMul", ["observation", "w"], ["linear"]), helper.make_node("Tanh", ["linear"], ["action"])],
+        [
+            helper.make_node("MatMul", ["observation", "w"], ["linear"]),
+            helper.make_node("Tanh", ["linear"], ["action"]),
+        ],
         "policy",
         [value("observation", TensorProto.FLOAT, [1, SIZE])],
         [value("action", TensorProto.FLOAT, [1, 2])],
@@ -59,7 +62,9 @@ def policy(onnx: bytes | None = None, replay: bytes | None = None, **changes: An
     return members | {"policy.yaml": yaml.safe_dump(contract | changes).encode()}
 
 
-def node(kind: str, inputs: list[str], outputs: list[str], domain: str = "", **attributes: Any) -> Callable[[Any], None]:
+def node(
+    kind: str, inputs: list[str], outputs: list[str], domain: str = "", **attributes: Any
+) -> Callable[[Any], None]:
     """Return a change that puts an operator at the start of a graph."""
 
     def change(graph: Any) -> None:
@@ -145,7 +150,10 @@ def test_networks_that_could_do_more_than_compute_are_refused(change, message):
         ({"inputs": {"observation": {"shape": [5], "dtype": "float32"}}}, "expected the inputs"),
         ({"wrappers": [{"name": "os:system", "kwargs": {}}]}, "expected ShapeGoal and PointReward, got 'os:system'"),
         ({"config": {"shapes": ["centerline"], "segmentation": "os:system"}}, "the segmentation is code to import"),
-        ({"config": {"shapes": [{"kind": "centerline", "n": 10**7}]}}, "n is 10000000, expected a finite number up to 1000"),
+        (
+            {"config": {"shapes": [{"kind": "centerline", "n": 10**7}]}},
+            "n is 10000000, expected a finite number up to 1000",
+        ),
         ({"config": {"features": [{"kind": "pca", "file": "/etc/passwd"}]}}, "reads the file '/etc/passwd'"),
         ({"schema": "0" * 64}, "its features mean something else here"),
         ({"action": {"kind": "box", "shape": [2], "dtype": "float32"}}, "policy.yaml cannot be understood: 'low'"),
@@ -181,20 +189,20 @@ def test_a_bomb_is_not_unpacked(tmp_path):
     with zipfile.ZipFile(tmp_path / "a.policy", "w", zipfile.ZIP_DEFLATED) as archive:
         for name in policy():
             archive.writestr(name, bytes(200 << 20 if name == "replay.npz" else 1))
-    with pytest.raises(PolicyError, match="replay.npz: expected at most 67108864 bytes, got 209715200"):
+    with pytest.raises(PolicyError, match=r"replay.npz: expected at most 67108864 bytes, got 209715200"):
         load_policy(tmp_path / "a.policy")
-    with pytest.raises(PolicyError, match="there is no policy.onnx"):
+    with pytest.raises(PolicyError, match=r"there is no policy.onnx"):
         load_policy(tmp_path)
-    with pytest.raises(FileNotFoundError, match="no such policy"):
+    with pytest.raises(FileNotFoundError, match=r"no such policy"):
         load_policy(tmp_path / "b.policy")
 
 
 def test_python_objects_are_not_read():
     buffer = io.BytesIO()
     np.savez(buffer, observation=np.array([print] * 32, object))
-    with pytest.raises(PolicyError, match="replay.npz: not a file of NumPy arrays"):
+    with pytest.raises(PolicyError, match=r"replay.npz: not a file of NumPy arrays"):
         policy_from(policy(replay=buffer.getvalue()))
-    with pytest.raises(PolicyError, match="could not determine a constructor for the tag"):
+    with pytest.raises(PolicyError, match=r"could not determine a constructor for the tag"):
         policy_from(policy() | {"policy.yaml": b"!!python/object/apply:os.system [exit]"})
 
 
@@ -242,7 +250,9 @@ def test_mutations_are_refused_at_once_or_act_as_the_learner_did(count, tmp_path
         except PolicyError as error:
             assert 0 < len(str(error)) < 1000  # noqa: PT017 - most are refused, a few change nothing
         slowest = max(slowest, time.perf_counter() - begun)
-    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / (1 << 10 if sys.platform != "darwin" else 1 << 20)
+    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / (
+        1 << 10 if sys.platform != "darwin" else 1 << 20
+    )
     assert slowest < 2
     assert grown < 300  # megabytes
     assert read < count / 2

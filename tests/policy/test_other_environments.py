@@ -18,7 +18,7 @@ from policies import POINTS, WORKSPACE, cable, saved, trained_cable, untrained
 
 import shape_obs_envs  # noqa: F401
 from shape_obs import ShapeGoal, ShapeObservation
-from shape_obs.policy import PolicyError, deploy_command, load_policy, save_policy
+from shape_obs.policy import PolicyError, deploy_command, save_policy
 from shape_obs.robot import ActionSpec
 from shape_obs.training import PointReward, TrueState
 from shape_obs_envs.robots import NullRobot
@@ -92,6 +92,11 @@ class TestMismatch:
         )
 
 
+def transformed() -> Any:
+    env = cable()
+    return gym.wrappers.TransformObservation(env, dict, env.observation_space)
+
+
 BLUE = {"segmentation": {"kind": "hsv", "low": [100, 120, 40], "high": [125, 255, 255]}}
 
 
@@ -101,7 +106,7 @@ class TestDeployable:
         [
             (lambda: TrueState(gym.make("ShapeObs/Cable-v0", render_observation=False)), "simulator's state"),
             (lambda: cable(keep=["gripper"]), "it also reads gripper, which only its simulator provides"),
-            (lambda: gym.wrappers.DtypeObservation(cable(features=["ok"], keep=[]), dict), "the wrapper DtypeObservation does"),
+            (transformed, "the wrapper TransformObservation does on a robot"),
         ],
     )
     def test_what_only_a_simulator_has_is_kept_and_rebuilt_but_not_deployed(self, tmp_path, make, reason):
@@ -158,7 +163,7 @@ def test_recorded_goals_of_several_come_along(made, tmp_path):
     inner: Any = source.unwrapped
     goals: Any = dict(zip(("strip0", "strip1"), inner.points(inner.end).tolist(), strict=True))
     policy = strips(made, tmp_path / "a.policy", lambda env: ShapeGoal(env, goals))
-    assert policy.has_goal
+    assert policy.spec.has_goal
     again = policy.wrap(StripsEnv(goals=False), scene={"segmentation": source.detector.config.segmentation})
     assert again.names == ("strip0", "strip1")
     np.testing.assert_allclose(again.reset(seed=0)[0]["desired_goal"][:3], goals["strip0"][0], atol=1e-4)

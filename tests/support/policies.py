@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.spaces.utils import flatdim
 
 from shape_obs.policy.policy import load_policy
 
@@ -37,7 +38,7 @@ class Sampled(gym.Env[Any, Any]):
         return self.observation_space.sample(), -float(np.sum(np.abs(action))), False, self.steps > 20, {}
 
     def action_masks(self) -> Any:
-        return np.ones(spaces.utils.flatdim(self.action_space), bool)
+        return np.ones(flatdim(self.action_space), bool)
 
 
 def learner(env: Any, algorithm: str = "PPO", policy: str = "Mlp", **options: Any) -> Any:
