@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Any, Final
 
 from shape_obs.config.config_file import hashed_values, schema_hash
 from shape_obs.config.detector_config import ALGORITHM, DetectorConfig
 from shape_obs.features import Feature, read_features
+from shape_obs.image.mask_function import MaskFunction
 from shape_obs.robot import ActionSpec
 from shape_obs.spec import Spec, to_plain, without_plugins
 from shape_obs.wrappers import ShapeObservation
@@ -43,8 +44,10 @@ _DTYPES: Final = (
     "float64",
 )
 #: Largest numbers of a configuration, so that a detector for it is built in a moment: by name, and all others.
-_MOST: Final = {"n": 1000, "rows": 100, "cols": 100, "count": 100, "epochs": 100, "harmonics": 64,
-                "degree": 32, "coefficients": 200, "open": 255, "close": 255, "n_init": 20, "max_iter": 1000, "steps": 1000}  # fmt: skip
+_MOST: Final = {
+    "n": 1000, "rows": 100, "cols": 100, "count": 100, "epochs": 100, "harmonics": 64, "degree": 32,
+    "coefficients": 200, "open": 255, "close": 255, "n_init": 20, "max_iter": 1000, "steps": 1000,
+}  # fmt: skip
 _MOST_NUMBER: Final = 1e6
 _MOST_SHAPES, _MOST_FEATURES, _MOST_POINTS = 8, 16, 4096
 
@@ -237,7 +240,8 @@ def surroundings(env: gym.Env[Any, Any]) -> dict[str, Any]:
     shapes = shape_observation(env)
     if shapes is not None:
         view = shapes.contexts[0]
-        config = {**shapes.detector.config.to_dict(), "features": [feature.to_dict() for feature in shapes.features]}
+        detector = _without_functions(shapes.detector.config)
+        config = {**detector.to_dict(), "features": [feature.to_dict() for feature in shapes.features]}
         if view.workspace is not None:
             config["workspace"] = to_recorded(view.workspace)
         schema, image = schema_hash(config), (view.width, view.height)
@@ -254,6 +258,16 @@ def surroundings(env: gym.Env[Any, Any]) -> dict[str, Any]:
         "action_spec": published(env, "action_spec", getattr(robot, "action_spec", None)),
         "success_threshold": published(env.unwrapped, "success_threshold"),
     }
+
+
+def _without_functions(config: DetectorConfig) -> DetectorConfig:
+    """Leave out segmentations that are functions: each site has its own segmentation."""
+    shapes = [
+        replace(shape, segmentation=None) if isinstance(shape.segmentation, MaskFunction) else shape
+        for shape in config.shapes
+    ]
+    own = None if isinstance(config.segmentation, MaskFunction) else config.segmentation
+    return replace(config, shapes=tuple(shapes), segmentation=own)
 
 
 def shape_observation(env: gym.Env[Any, Any]) -> ShapeObservation | None:

@@ -126,6 +126,18 @@ class TestDeployable:
         policy.check_env(cell)
 
 
+def blue(rgb: Any, depth: Any) -> Any:
+    return rgb[..., 2] > rgb[..., 0] + 60
+
+
+def test_a_segmentation_that_is_a_function_is_given_again_at_each_site(tmp_path):
+    env = cable(segmentation=blue)
+    policy = saved(untrained(env), env, tmp_path / "a.policy")
+    assert policy.spec.config["segmentation"] is None
+    cell = policy.wrap(TestMismatch().cell(policy, {}, 20), scene=BLUE)
+    assert policy.differences(cell) == []
+
+
 # ---- goals of several slots
 
 
