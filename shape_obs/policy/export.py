@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.policy.contract import Contract, PolicyError, surroundings
-from shape_obs.policy.policy import CONTRACT, NETWORK, REPLAY, policy_from
+from shape_obs.policy.policy import CONTRACT, NETWORK, REPLAY, TOLERANCE, policy_from
 from shape_obs.robot import ActionSpec
 from shape_obs.spec import to_plain
 from shape_obs.training import PointReward
@@ -39,7 +39,7 @@ Array = npt.NDArray[Any]
 
 #: Steps of the replay, in two episodes.
 _REPLAYED: Final = 64
-#: Largest difference from the learner's actions when a policy is saved, as a share of their range.
+#: Largest difference from the learner's actions when a policy without images is saved, as a share of their range.
 _TOLERANCE: Final = 2e-5
 _PACKAGES: Final = ("shape-obs", "stable-baselines3", "sb3-contrib", "torch", "onnx", "gymnasium", "numpy", "mujoco")
 #: Wrappers that leave observations and actions alone.
@@ -400,7 +400,8 @@ def _write(path: Path, network: bytes, spec: Contract, replay: Mapping[str, Arra
     members = {NETWORK: network, REPLAY: buffer.getvalue()}
     hashes = {name: hashlib.sha256(data).hexdigest() for name, data in members.items()}
     members[CONTRACT] = dump_yaml({**spec.to_dict(), "sha256": hashes}).encode()
-    policy_from(members)
+    images = any(tensor.dtype == "uint8" for tensor in spec.tensors.values())
+    policy_from(members, TOLERANCE if images else _TOLERANCE)
     if path.suffix:
         write_whole(path, lambda temporary: _zip(temporary, members))
     else:

@@ -86,7 +86,7 @@ def load_policy(path: str | os.PathLike[str]) -> Policy:
     return policy
 
 
-def policy_from(members: Mapping[str, bytes]) -> Policy:
+def policy_from(members: Mapping[str, bytes], tolerance: float = TOLERANCE) -> Policy:
     """Create a policy from the content of its three files, after the checks of ``load_policy``."""
     try:
         described = parse_yaml(members[CONTRACT], CONTRACT)
@@ -104,7 +104,7 @@ def policy_from(members: Mapping[str, bytes]) -> Policy:
         replay = decode_npz(members[REPLAY], REPLAY, most_bytes=_MOST_BYTES[REPLAY])
     except ValueError as error:
         raise PolicyError(str(error)) from error
-    policy.check_replay(replay)
+    policy.check_replay(replay, tolerance)
     return policy
 
 
@@ -218,12 +218,13 @@ class Policy:
             raise PolicyError("the policy returned an action that is not finite.")
         return action
 
-    def check_replay(self, replay: Mapping[str, Array]) -> None:
+    def check_replay(self, replay: Mapping[str, Array], tolerance: float = TOLERANCE) -> None:
         """Refuse a policy whose actions differ from those that the learner computed.
 
         Args:
             replay: Arrays of T steps: ``observation`` or ``observation/KEY`` for each key, ``action``, ``start`` (True
                 where an episode starts) and, if the policy has masks, ``mask``.
+            tolerance: Largest difference of an action, as a share of the range of actions.
 
         Raises:
             PolicyError: An array is missing or has another shape, or an action differs.
@@ -240,7 +241,7 @@ class Policy:
             seen = replay["observation"][i] if "" in keys else {key: replay[name][i] for key, name in keys.items()}
             action = self.act(seen, replay["mask"][i] if self.spec.mask else None)
             difference = action_difference(self.spec, action, replay["action"][i])
-            if not difference <= TOLERANCE:
+            if not difference <= tolerance:
                 raise PolicyError(
                     f"the network does not compute what the learner did: action {i} of {count} differs by "
                     f"{difference:.2g} of its range."

@@ -113,7 +113,8 @@ def _stacked(wrapper: gym.wrappers.FrameStackObservation) -> Stage:
         started, stacks = states[_FILLED], {}
         for key, value in values.items():
             old = states[f"frames_{key}"]
-            first = padding.get(key, value).reshape(1, 1, *old.shape[2:]).expand(old.shape)
+            fill = padding[key] if padding else value
+            first = fill.reshape(1, 1, *old.shape[2:]).expand(old.shape)
             old = torch.where(started.reshape((1,) * old.dim()) > 0, old, first)
             stacks[key] = torch.cat([old[:, 1:], value[:, None]], dim=1)
         following = {f"frames_{key}": stack for key, stack in stacks.items()}
