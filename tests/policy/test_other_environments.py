@@ -181,7 +181,7 @@ def test_recorded_goals_of_several_come_along(made, tmp_path):
     np.testing.assert_allclose(again.reset(seed=0)[0]["desired_goal"][:3], goals["strip0"][0], atol=1e-4)
 
 
-# ---- ``shape-obs deploy BUNDLE``, before a simulated robot whose camera is a software D455
+# ---- ``shape-obs deploy POLICY``, before a simulated robot whose camera is a software D455
 
 CELL = ["--source", "robot", "--robot", "shape_obs_envs.robots:SimulatedRobot"]
 with_d455 = pytest.mark.skipif(not find_spec("pyrealsense2"), reason="the software D455 needs librealsense")
