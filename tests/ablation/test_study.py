@@ -81,7 +81,7 @@ def test_every_run_leaves_a_policy_that_can_be_deployed(clean):
     from shape_obs.policy import load_policy
 
     policy = load_policy(clean / "small" / "seed0" / "trained.policy")
-    zeros = {tensor.key: np.zeros(tensor.shape) for tensor in policy.spec.tensors.values()}
+    zeros = {key: np.zeros(tensor.shape) for key, tensor in policy.spec.inputs.items()}
     assert np.abs(policy.act(zeros)).max() <= 1
 
 

@@ -38,7 +38,8 @@ def actions(policy: Any, model: Any, seen: list[Any], **options: Any) -> float:
     for i, observation in enumerate(seen):
         masks = {"action_masks": options["mask"]} if options else {}
         wanted, state = model.predict(observation, state, np.array([i == 0]), deterministic=True, **masks)
-        largest = max(largest, action_difference(policy.spec, policy.act(observation, options.get("mask")), wanted))
+        found = policy.act(observation, options.get("mask"))
+        largest = max(largest, action_difference(policy.spec.action, found, wanted))
     return largest
 
 
@@ -107,7 +108,7 @@ def test_wrappers_become_part_of_the_network(name, tmp_path):
     policy = saved(model, env, tmp_path / "a.policy")  # compares 64 actions behind the training's own wrappers
     assert policy.spec.trained["steps"] == model.num_timesteps
     if name == "RescaleAction":
-        np.testing.assert_array_equal(policy.spec.action["high"], FORCE.high)
+        np.testing.assert_array_equal(policy.spec.action.high, FORCE.high)
     if name.startswith("frames"):  # an episode does not see the one before it
         first = [policy.act(np.ones(5)), policy.reset(), policy.act(np.ones(5))]
         np.testing.assert_array_equal(first[0], first[2])
@@ -132,7 +133,7 @@ def test_recurrent_policies_with_goals_remember_an_episode(tmp_path):
     state, largest = None, 0.0
     for observation in seen:
         wanted, state = model.predict(env.normalize_obs(observation), state, deterministic=True)
-        largest = max(largest, action_difference(policy.spec, policy.act(observation), wanted))
+        largest = max(largest, action_difference(policy.spec.action, policy.act(observation), wanted))
     assert largest < 1e-5
     again = [policy.act(seen[0]), policy.reset(), policy.act(seen[0])]
     assert not np.array_equal(again[0], again[2])
@@ -186,8 +187,8 @@ def test_a_policy_that_computes_something_else_is_found_out(tmp_path):
     model.policy.predict = lambda *args, **options: (own(*args, **options)[0] + 0.5, None)
     with pytest.raises(PolicyError, match=r"the network does not compute what the learner did: action 0 of 64"):
         save_policy(model, Sampled(), tmp_path / "a.policy")
-    model.policy = SimpleNamespace(action_space=FORCE)
-    with pytest.raises(PolicyError, match=r"the policy SimpleNamespace of PPO .* use save_policy_onnx"):
+    model.policy = SimpleNamespace(action_space=FORCE)  # of another library
+    with pytest.raises(PolicyError, match=r"the policy SimpleNamespace of PPO cannot be .* use save_policy_onnx"):
         save_policy(model, Sampled(), tmp_path / "a.policy")
 
 
@@ -208,7 +209,7 @@ def test_networks_of_other_learners(tmp_path):
     np.testing.assert_allclose(policy.act(seen[3]), wanted[3], atol=1e-6)
     assert policy.spec.trained["learner"] == "own"
     for changed, message in (
-        ((seen[:9], wanted[:9]), "expected 32 to 1024 steps of observation, action, start"),
+        ((seen[:9], wanted[:9]), "expected 32 to 1024 steps of observation/observation, action, start"),
         ((seen, wanted[::-1]), "does not compute what the learner did"),
     ):
         with pytest.raises(PolicyError, match=message):

@@ -51,12 +51,12 @@ def policy(onnx: bytes | None = None, replay: bytes | None = None, **changes: An
         seen = np.random.default_rng(1).standard_normal((32, SIZE)).astype(np.float32)
         weights = np.random.default_rng(0).standard_normal((SIZE, 2)).astype(np.float32)
         buffer = io.BytesIO()
-        np.savez(buffer, observation=seen, action=np.tanh(seen @ weights), start=np.arange(32) == 0)
+        np.savez(buffer, **{"observation/observation": seen}, action=np.tanh(seen @ weights), start=np.arange(32) == 0)
         replay = buffer.getvalue()
     members = {"policy.onnx": network() if onnx is None else onnx, "replay.npz": replay}
     contract: dict[str, Any] = {
         "format": 1, "dt": 0.05, "inputs": {"observation": {"shape": [SIZE], "dtype": "float32"}},
-        "action": {"kind": "box", "shape": [2], "dtype": "float32", "low": [-1, -1], "high": [1, 1]},
+        "action": {"shape": [2], "dtype": "float32", "low": [-1, -1], "high": [1, 1]},
         "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in members.items()},
     }  # fmt: skip
     return members | {"policy.yaml": yaml.safe_dump(contract | changes).encode()}
@@ -130,8 +130,8 @@ def claimed(graph: Any) -> None:
         (node("If", ["observation"], ["x"]), "the operator If is not allowed"),
         (node("RandomNormal", [], ["x"], shape=[4]), "the operator RandomNormal is not allowed"),
         (node("PyOp", ["observation"], ["x"], "ai.onnx.contrib"), "the operator ai.onnx.contrib.PyOp is not allowed"),
-        (lambda graph: graph.node.pop(), "not a network of ONNX, or a damaged one"),
-        (lambda graph: setattr(graph.input[0], "name", "seen"), "not a network of ONNX, or a damaged one"),
+        (lambda graph: graph.node.pop(), "not a policy, or a damaged one"),
+        (lambda graph: setattr(graph.input[0], "name", "seen"), "not a policy, or a damaged one"),
         (lambda graph: setattr(graph.output[0], "name", "linear"), "expected the outputs"),
     ],
 )
@@ -144,9 +144,9 @@ def test_networks_that_could_do_more_than_compute_are_refused(change, message):
     ("changes", "message"),
     [
         ({"format": 2}, "expected a policy of format 1, got 2: save it again"),
-        ({"dt": 1e9}, "dt: expected 0.0001 to 3600.0 seconds"),
-        ({"inputs": {"observation": {"shape": [10**9], "dtype": "float32"}}}, "at most 16777216 bytes"),
-        ({"inputs": {"observation": {"shape": [4], "dtype": "object"}}}, "expected up to 5 sides and a type of bool"),
+        ({"dt": 1e9}, "dt: expected 0.0001 to 3600 seconds"),
+        ({"inputs": {"observation": {"shape": [10**9], "dtype": "float32"}}}, "expected the inputs"),
+        ({"inputs": {"observation": {"shape": [4], "dtype": "object"}}}, "not a policy, or a damaged one"),
         ({"inputs": {"observation": {"shape": [5], "dtype": "float32"}}}, "expected the inputs"),
         ({"wrappers": [{"name": "os:system", "kwargs": {}}]}, "expected ShapeGoal and PointReward, got 'os:system'"),
         ({"config": {"shapes": ["centerline"], "segmentation": "os:system"}}, "the segmentation is code to import"),
@@ -156,7 +156,7 @@ def test_networks_that_could_do_more_than_compute_are_refused(change, message):
         ),
         ({"config": {"features": [{"kind": "pca", "file": "/etc/passwd"}]}}, "reads the file '/etc/passwd'"),
         ({"schema": "0" * 64}, "its features mean something else here"),
-        ({"action": {"kind": "box", "shape": [2], "dtype": "float32"}}, "policy.yaml cannot be understood: 'low'"),
+        ({"action": {"shape": [2], "dtype": "float32"}}, "policy.yaml cannot be understood: 'low'"),
         ({"unknown": 1}, "unknown field 'unknown'"),
         ({"sha256": {}}, "policy.onnx was changed, or is damaged"),
     ],
@@ -169,7 +169,7 @@ def test_contracts_that_ask_for_too_much_are_refused(changes, message):
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        (["policy.onnx", "policy.yaml"], "expected a zip of policy.onnx, policy.yaml, replay.npz, got"),
+        (["policy.onnx", "policy.yaml"], "expected policy.onnx, policy.yaml, replay.npz, got"),
         (["policy.onnx", "policy.yaml", "replay.npz", "../../evil.py"], "evil.py"),
         (["policy.onnx", "policy.yaml", "replay.npz", "policy.onnx"], "policy.onnx, policy.onnx"),
     ],
@@ -191,7 +191,7 @@ def test_a_bomb_is_not_unpacked(tmp_path):
             archive.writestr(name, bytes(200 << 20 if name == "replay.npz" else 1))
     with pytest.raises(PolicyError, match=r"replay.npz: expected at most 67108864 bytes, got 209715200"):
         load_policy(tmp_path / "a.policy")
-    with pytest.raises(PolicyError, match=r"there is no policy.onnx"):
+    with pytest.raises(PolicyError, match=r"expected policy.onnx, policy.yaml, replay.npz, got ''"):
         load_policy(tmp_path)
     with pytest.raises(FileNotFoundError, match=r"no such policy"):
         load_policy(tmp_path / "b.policy")

@@ -1,0 +1,368 @@
+"""Turn a policy of Stable-Baselines3 or sb3-contrib, with the wrappers of its training, into one graph of ONNX.
+
+The graph follows the learner's own ``_predict``. Only wrappers are written here a second time: ``_stage`` computes with
+tensors what ``_own`` gets from the wrapper itself, and the actions of both are compared when the policy is saved.
+"""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import io
+import logging
+import math
+import re
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
+from types import SimpleNamespace
+from typing import Any, Final
+
+import gymnasium as gym
+import numpy as np
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, VecNormalize, VecTransposeImage
+
+from shape_obs.policy.contract import ARRAY, PolicyError, describe
+from shape_obs.policy.export import TRANSPARENT
+from shape_obs.policy.policy import MASK
+
+Values = dict[str, Any]  # tensors with a first axis of 1, by the name of the input
+#: Maps observations to observations, and replaces the states in its second argument.
+Compute = Callable[[Values, Values], Values]
+
+#: Steps of the replay, in two episodes.
+_REPLAYED: Final = 64
+#: Names of attributes in which wrappers keep statistics, such as "obs_rms", "running_mean" and "std".
+_STATISTIC: Final = re.compile(r"(^|_)(mean|average|avg|var|variance|std|m2|rms|stats)(_|$)")
+
+
+def export(model: BaseAlgorithm, env: Any) -> tuple[gym.Env[Any, Any], bytes, dict[str, Any]]:
+    """Return the environment that the policy reads, its graph, and arguments for ``save_policy_onnx``.
+
+    Args:
+        model: Trained model.
+        env: Environment of the training.
+
+    Raises:
+        PolicyError: A wrapper has a state or changes actions in a way that a policy cannot hold, or PyTorch cannot
+            export the policy.
+    """
+    source, observing, acting = _wrappers(model, env)
+    stages = [_stage(wrapper) for wrapper in observing]
+    states = {name: zeros for _, more in stages for name, zeros in more.items()}
+    space, masks, policy = source.observation_space, {}, model.policy
+    inputs = {
+        name: torch.zeros((1, *tensor.shape), dtype=getattr(torch, tensor.dtype))
+        for name, tensor in describe(source).inputs.items()
+    }
+    try:
+        parameters = inspect.signature(policy._predict).parameters
+        if "lstm_states" in parameters:
+            states |= {name: torch.zeros(policy.lstm_hidden_state_shape) for name in ("lstm_h", "lstm_c")}
+        if "action_masks" in parameters:
+            masks = {MASK: torch.ones((1, policy.action_net.out_features), dtype=torch.bool)}
+        network = _Network(model, [compute for compute, _ in stages], acting, source.unwrapped.action_space.dtype)
+        following = {name: f"{name}_next" for name in states}
+        with _exporting(network, model.device):
+            program = torch.onnx.export(
+                network,
+                kwargs={"inputs": inputs, "states": states, "masks": masks},
+                input_names=[*inputs, *states, *masks],
+                output_names=["action", *following.values()],
+                dynamo=True,
+                external_data=False,
+                verbose=False,
+            )
+    except (torch.onnx.errors.OnnxExporterError, RuntimeError, ValueError, TypeError, AttributeError) as error:
+        raise PolicyError(
+            f"the policy {type(policy).__name__} of {type(model).__name__} cannot be exported; export its network "
+            f"yourself, and use save_policy_onnx. {error!s:.500}"
+        ) from error
+    sizes = masks[MASK].shape[1] if masks else None
+    played = _play(model, space, [_own(wrapper) for wrapper in observing], acting, _moments(observing[:1]), sizes)
+    return source, program.model_proto.SerializeToString(), {**played, "states": following}  # type: ignore[union-attr]
+
+
+def _wrappers(model: BaseAlgorithm, env: Any) -> tuple[gym.Env[Any, Any], list[Any], list[Any]]:
+    """Return the environment that the policy reads, and the wrappers of observations and of actions, innermost first.
+
+    It is the outermost one whose observations are no longer changed by wrappers that a graph can express.
+    """
+    layers, inner = [], env
+    if not isinstance(env, VecEnv) and (normalize := model.get_vec_normalize_env()) is not None:
+        layers.append(normalize)
+    while isinstance(inner, (VecEnv, gym.Wrapper)):
+        if isinstance(inner, VecEnv) and not isinstance(inner, VecEnvWrapper):
+            inner = _first_env(inner)
+            continue
+        layers += [] if type(inner).__name__ in TRANSPARENT else [inner]
+        inner = inner.venv if isinstance(inner, VecEnvWrapper) else inner.env
+    source, observing, acting = None, [], []
+    for layer in layers:
+        name = type(layer).__name__
+        if isinstance(layer, (gym.wrappers.RescaleAction, gym.wrappers.ClipAction)):
+            acting.insert(0, layer)
+        elif isinstance(layer, _STAGES) and source is None:
+            if isinstance(layer, gym.wrappers.NormalizeObservation) and getattr(env, "num_envs", 1) > 1:
+                raise PolicyError(
+                    f"{name}: each of several environments has its own statistics: normalise with VecNormalize."
+                )
+            observing.insert(0, layer)
+        elif isinstance(layer, (gym.ActionWrapper, VecEnvWrapper)):
+            changed = "observations" if isinstance(layer, VecEnvWrapper) else "actions"
+            known = ", ".join(kind.__name__ for kind in (*_STAGES, gym.wrappers.RescaleAction, gym.wrappers.ClipAction))
+            raise PolicyError(f"a policy cannot hold how {name} changes {changed}; it can hold {known}.")
+        else:
+            source = source or layer
+            _refuse_statistics(layer)
+    return source or inner, observing, acting
+
+
+def _first_env(env: VecEnv) -> Any:
+    if hasattr(env, "envs"):
+        return env.envs[0]  # type: ignore[attr-defined]
+    spec = env.get_attr("spec")[0]
+    if spec is None:
+        raise PolicyError("the environment runs in other processes and has no spec: make it with gymnasium.make.")
+    return gym.make(spec, disable_env_checker=True)
+
+
+def _refuse_statistics(wrapper: Any) -> None:
+    for name, value in vars(wrapper).items():
+        counted = all(hasattr(value, part) for part in ("mean", "var", "count"))
+        numbers = isinstance(value, (float, np.ndarray)) and _STATISTIC.search(name.lower()) is not None
+        if (counted or numbers) and not isinstance(wrapper, gym.RewardWrapper):
+            raise PolicyError(
+                f"a policy cannot hold the statistics that the wrapper {type(wrapper).__name__} keeps in {name!r}: "
+                "normalise with VecNormalize of Stable-Baselines3 or NormalizeObservation of Gymnasium, outermost."
+            )
+
+
+# ---- Wrappers as parts of a graph
+
+_STAGES: Final = (
+    gym.wrappers.NormalizeObservation, gym.wrappers.FrameStackObservation, gym.wrappers.FlattenObservation,
+    gym.wrappers.FilterObservation, gym.wrappers.ReshapeObservation, VecNormalize, VecFrameStack, VecTransposeImage,
+)  # fmt: skip
+
+
+def _named(value: Any) -> dict[str, Any]:
+    """Return observations or spaces by key."""
+    value = value.spaces if isinstance(value, gym.spaces.Dict) else value
+    return dict(value) if isinstance(value, Mapping) else {ARRAY: value}
+
+
+def _stage(wrapper: Any) -> tuple[Compute, Values]:
+    """Return what a wrapper of observations computes, as tensors, and zeros of its states."""
+    if isinstance(wrapper, (gym.wrappers.NormalizeObservation, VecNormalize)):
+        clip = getattr(wrapper, "clip_obs", math.inf)
+        moments = {name: tuple(map(torch.from_numpy, pair)) for name, pair in _moments([wrapper]).items()}
+
+        def normalize(values: Values, states: Values) -> Values:
+            scaled = {name: (values[name].double() - mean) / spread for name, (mean, spread) in moments.items()}
+            return {**values, **{name: torch.clamp(value, -clip, clip).float() for name, value in scaled.items()}}
+
+        return normalize, {}
+    if isinstance(wrapper, (gym.wrappers.FrameStackObservation, VecFrameStack)):
+        return _stack(wrapper)
+    if isinstance(wrapper, gym.wrappers.FlattenObservation):
+        keys, dtype = list(_named(wrapper.env.observation_space)), getattr(torch, str(wrapper.observation_space.dtype))
+        return lambda values, _: {ARRAY: torch.cat([values[key].flatten(1).to(dtype) for key in keys], dim=1)}, {}
+    if isinstance(wrapper, gym.wrappers.ReshapeObservation):
+        return lambda values, _: {ARRAY: values[ARRAY].reshape(1, *wrapper.observation_space.shape)}, {}
+    if isinstance(wrapper, gym.wrappers.FilterObservation):
+        return lambda values, _: {key: values[key] for key in wrapper.observation_space.spaces}, {}
+    images = [] if wrapper.skip else getattr(wrapper, "image_space_keys", [ARRAY])
+    return lambda values, _: {**values, **{key: values[key].permute(0, 3, 1, 2) for key in images}}, {}
+
+
+def _moments(wrappers: Sequence[Any]) -> dict[str, tuple[Any, Any]]:
+    """Return mean and standard deviation of what a wrapper reads, by key, if it normalises."""
+    for wrapper in wrappers:
+        if isinstance(wrapper, gym.wrappers.NormalizeObservation) or (
+            isinstance(wrapper, VecNormalize) and wrapper.norm_obs
+        ):
+            keys = getattr(wrapper, "norm_obs_keys", None) or [ARRAY]
+            found: Any = wrapper.obs_rms if isinstance(wrapper.obs_rms, dict) else {ARRAY: wrapper.obs_rms}
+            return {key: (np.array(found[key].mean), np.sqrt(found[key].var + wrapper.epsilon)) for key in keys}
+    return {}
+
+
+def _stack(wrapper: Any) -> tuple[Compute, Values]:
+    """Return a stack of frames, along a new axis (Gymnasium) or along the channels (Stable-Baselines3)."""
+    name = type(wrapper).__name__
+    if isinstance(wrapper, VecFrameStack):
+        parts = getattr(wrapper.stacked_obs, "sub_stacked_observations", None) or {ARRAY: wrapper.stacked_obs}
+        axes = {key: 1 if part.channels_first else -1 for key, part in parts.items()}
+        zeros = {key: torch.from_numpy(np.zeros_like(part.stacked_obs[:1])) for key, part in parts.items()}
+        padding = zeros
+    else:
+        spaces, axes = _named(wrapper.env.observation_space), {}
+        padding = {key: torch.from_numpy(np.asarray(value)) for key, value in _named(wrapper.padding_value).items()}
+        padding = {} if wrapper.padding_type == "reset" else padding  # else the first frame is repeated
+        shapes = {key: (1, wrapper.stack_size, *space.shape) for key, space in spaces.items()}
+        zeros = {key: torch.from_numpy(np.zeros(shapes[key], space.dtype)) for key, space in spaces.items()}
+
+    def compute(values: Values, states: Values) -> Values:
+        started, stacks = states[f"{name}_started"], {}
+        for key, value in values.items():
+            frame, axis = (value, axes[key]) if axes else (value[:, None], 1)
+            old = states[f"{name}_{key}"]
+            old = torch.where(started > 0, old, padding.get(key, frame).to(old.dtype).expand_as(old))
+            kept = old.narrow(axis, frame.shape[axis], old.shape[axis] - frame.shape[axis])
+            stacks[key] = states[f"{name}_{key}"] = torch.cat([kept, frame.to(old.dtype)], dim=axis)
+        states[f"{name}_started"] = torch.clamp(started + 1, max=1)
+        return stacks
+
+    return compute, {f"{name}_{key}": value for key, value in zeros.items()} | {f"{name}_started": torch.zeros(1)}
+
+
+class _Network(torch.nn.Module):
+    """Compute the action for the observation of the environment, with all stages of the training."""
+
+    def __init__(self, model: BaseAlgorithm, stages: Sequence[Compute], acting: Sequence[Any], dtype: Any) -> None:
+        super().__init__()
+        self.policy, self.stages, self.acting, self.dtype = model.policy, stages, acting, getattr(torch, str(dtype))
+        self.space = model.observation_space
+
+    def forward(self, inputs: Values, states: Values, masks: Values) -> tuple[torch.Tensor, ...]:
+        policy: Any = self.policy
+        values, memory = inputs, dict(states)
+        for stage in self.stages:
+            values = stage(values, memory)
+        for key, space in _named(self.space).items():
+            if isinstance(space, gym.spaces.Box) and tuple(values[key].shape[1:]) != space.shape:  # an image (H, W, C)
+                values = {**values, key: values[key].permute(0, 3, 1, 2)}
+        seen = values if isinstance(self.space, gym.spaces.Dict) else values[ARRAY]
+        if "lstm_h" in memory:
+            remembered, starts = (memory["lstm_h"], memory["lstm_c"]), torch.zeros(1)
+            action, remembered = policy._predict(seen, remembered, starts, deterministic=True)
+            memory["lstm_h"], memory["lstm_c"] = remembered
+        else:
+            options = {"action_masks": masks[MASK]} if masks else {}
+            action = policy._predict(seen, deterministic=True, **options)
+        space = policy.action_space
+        action = action.reshape(1, *space.shape)
+        if isinstance(space, gym.spaces.Box):  # as ``predict`` does
+            low, high = torch.from_numpy(space.low), torch.from_numpy(space.high)
+            action = low + 0.5 * (action + 1.0) * (high - low) if policy.squash_output else _clip(action, low, high)
+        for wrapper in reversed(self.acting):
+            inner, outer = wrapper.env.action_space, wrapper.action_space
+            low, high = torch.from_numpy(inner.low), torch.from_numpy(inner.high)
+            if isinstance(wrapper, gym.wrappers.ClipAction):
+                action = _clip(action, low, high)
+            else:
+                gain = torch.from_numpy((inner.high - inner.low) / (outer.high - outer.low))
+                action = low + (action - torch.from_numpy(outer.low)) * gain
+        return action.to(self.dtype), *(memory[name] for name in states)
+
+
+def _clip(action: torch.Tensor, low: torch.Tensor, high: torch.Tensor) -> torch.Tensor:
+    return torch.minimum(torch.maximum(action, low), high)
+
+
+@contextmanager
+def _exporting(network: _Network, device: Any) -> Iterator[None]:
+    """Prepare a network for the exporter, silence this one, and restore the network."""
+    policy, logger, level = network.policy, logging.getLogger("torch.onnx"), logging.getLogger("torch.onnx").level
+    validates = torch.distributions.Distribution._validate_args
+    policy.set_training_mode(False)
+    logger.setLevel(logging.ERROR)
+    torch.distributions.Distribution.set_default_validate_args(False)  # a question about values, which have none yet
+    if hasattr(policy, "_process_sequence"):
+        policy._process_sequence = _one_step  # type: ignore[assignment]
+    try:
+        network.to("cpu")
+        with warnings.catch_warnings(), redirect_stdout(io.StringIO()):
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        network.to(device)
+        vars(policy).pop("_process_sequence", None)
+        torch.distributions.Distribution.set_default_validate_args(validates)
+        logger.setLevel(level)
+
+
+def _one_step(features: Any, states: Any, starts: Any, lstm: torch.nn.LSTM) -> tuple[Any, Any]:
+    """Do what recurrent policies do with one step; they ask whether an episode starts, which has no value yet."""
+    output, states = lstm(features[None], states)
+    return output[0], states
+
+
+# ---- The learner's own actions
+
+
+def _own(wrapper: Any) -> Callable[[Any, bool], Any]:
+    """Return what a wrapper itself makes of an observation, and of whether an episode starts; it stays as it is."""
+    if isinstance(wrapper, VecNormalize):
+        return lambda seen, _: wrapper.normalize_obs(seen)
+    if isinstance(wrapper, VecTransposeImage):
+        return lambda seen, _: _batched(wrapper.transpose_observations, seen)
+    if isinstance(wrapper, VecFrameStack):
+        stacks = copy.deepcopy(wrapper.stacked_obs)
+
+        def stack(batch: Any) -> Any:
+            return stacks.update(batch, np.array([False]), [{}])[0]
+
+        return lambda seen, start: _batched(stacks.reset if start else stack, seen)
+    again: Any = copy.copy(wrapper)
+    if isinstance(wrapper, gym.wrappers.NormalizeObservation):
+        again.update_running_mean = False
+    if not isinstance(wrapper, gym.wrappers.FrameStackObservation):
+        return lambda seen, _: again.observation(seen)
+    again.obs_queue, again.stacked_obs = copy.deepcopy((wrapper.obs_queue, wrapper.stacked_obs))
+
+    def queue(seen: Any, start: bool) -> Any:
+        again.env = SimpleNamespace(
+            observation_space=wrapper.env.observation_space,
+            reset=lambda **_: (seen, {}),
+            step=lambda _: (seen, 0.0, False, False, {}),
+        )
+        return (again.reset() if start else again.step(None))[0]
+
+    return queue
+
+
+def _batched(function: Callable[[Any], Any], seen: Any) -> Any:
+    """Apply a function of batches of observations to one observation."""
+    if not isinstance(seen, Mapping):
+        return np.array(function(np.asarray(seen)[None])[0])
+    batch = function({key: np.asarray(value)[None] for key, value in seen.items()})
+    return {key: np.array(value[0]) for key, value in batch.items()}
+
+
+def _play(
+    model: BaseAlgorithm, space: Any, own: Sequence[Any], acting: Sequence[Any], moments: Any, masked: int | None
+) -> dict[str, Any]:
+    """Return observations, and the actions that the learner itself computes for them behind its own wrappers."""
+    random, spaces = np.random.default_rng(0), copy.deepcopy(_named(space))
+    for one in spaces.values():
+        one.seed(0)
+    observations, actions, masks, state = [], [], [], None
+    starts = np.arange(_REPLAYED) % (_REPLAYED // 2) == 0
+    for start in starts:
+        values = {key: _drawn(one, random, moments.get(key)) for key, one in spaces.items()}
+        observations.append(seen := values if isinstance(space, gym.spaces.Dict) else values[ARRAY])
+        for wrap in own:
+            seen = wrap(seen, bool(start))
+        options: dict[str, Any] = {}
+        if masked:
+            masks.append(np.append(random.random(masked - 1) < 0.7, True))  # at least one action is allowed
+            options["action_masks"] = masks[-1]
+        action, state = model.predict(seen, state=state, episode_start=np.array([start]), deterministic=True, **options)
+        for wrapper in reversed(acting):
+            action = wrapper.action(action)
+        actions.append(action)
+    return {"observations": observations, "actions": actions, "starts": starts, "masks": masks or None}
+
+
+def _drawn(space: Any, random: np.random.Generator, moments: Any) -> Any:
+    """Draw a sample of a space: around the mean of the training if it is known; never a number beyond all use."""
+    sample, normal = np.asarray(space.sample()), random.standard_normal(space.shape)
+    if sample.dtype.kind != "f":
+        return sample
+    if moments is not None and np.shape(moments[0]) == space.shape:
+        sample = moments[0] + moments[1] * np.clip(normal, -1, 1)
+    return np.clip(np.where(abs(sample) < 1e6, sample, normal), space.low, space.high).astype(space.dtype)
