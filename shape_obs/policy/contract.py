@@ -9,12 +9,12 @@ from typing import Any, Final
 import gymnasium as gym
 import numpy as np
 
-from shape_obs.config.config_file import hashed_values, schema_hash
+from shape_obs.config.config_file import detector_arguments, hashed_values, schema_hash
 from shape_obs.config.detector_config import ALGORITHM, DetectorConfig
 from shape_obs.features import Feature, read_features
 from shape_obs.image.mask_function import MaskFunction
 from shape_obs.robot import ActionSpec
-from shape_obs.spec import Spec, without_plugins
+from shape_obs.spec import Spec, to_plain, without_plugins
 from shape_obs.wrappers import ShapeObservation
 from shape_obs.wrappers.env_protocol import camera_model, published, seconds_per_step
 from shape_obs.wrappers.recorded_arguments import to_recorded
@@ -24,11 +24,22 @@ FORMAT: Final = 1
 _MOST: Final = {"n": 1000, "rows": 100, "cols": 100, "count": 100, "harmonics": 64, "coefficients": 200,
                 "open": 255, "close": 255, "epochs": 100, "n_init": 20, "max_iter": 1000, "steps": 1000}  # fmt: skip
 _MOST_NUMBER: Final = 1e6
-_MOST_SHAPES, _MOST_FEATURES, _MOST_POINTS = 8, 16, 4096
+_MOST_VALUES: Final = 10_000
+#: Wrappers that leave observations and actions alone.
+TRANSPARENT: Final = (
+    "TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "Autoreset", "RecordEpisodeStatistics", "RecordVideo",
+    "HumanRendering", "ClipReward", "NormalizeReward", "TransformReward", "Monitor", "Curriculum", "ActionMasker",
+    "VecMonitor", "VecCheckNan", "VecVideoRecorder", "VecTransposeImage",
+)  # fmt: skip
+_OWN: Final = ("ShapeGoal", "PointReward")
+_SIMULATION_ONLY: Final = {
+    "TrueState": "it reads the simulator's state, which no camera can measure",
+    "Pixels": "its goals come from the simulator's state, and it reads the images of one camera",
+    "Shuffled": "its points are shuffled for comparison",
+}
+_ROBOT_KEYS: Final = ("rgb", "depth", "robot")
 #: Name of the input for observations that are one array.
 ARRAY: Final = "observation"
-
-Difference = tuple[str, Any, Any]
 
 
 class PolicyError(ValueError):
@@ -39,26 +50,19 @@ class PolicyError(ValueError):
 
 @dataclass(frozen=True)
 class Tensor(Spec):
-    """Describe an input of the network, or its action.
+    """Describe an observation or an action.
 
     Args:
-        shape: Its shape; without the first axis, the batch of 1, unless it is a state.
+        shape: Its shape, without the batch of 1, the first axis of the network's inputs.
         dtype: Its type, as NumPy names it; actions of integers are discrete.
         low: Of an action: the least value of each number.
         high: Of an action: the largest value of each number.
-        output: Of a state: the output that replaces it after each step. States are zeros when an episode starts.
     """
 
     shape: tuple[int, ...]
     dtype: str
     low: tuple[float, ...] = ()
     high: tuple[float, ...] = ()
-    output: str = ""
-
-    @property
-    def discrete(self) -> bool:
-        """Whether it consists of integers."""
-        return not self.dtype.startswith("float")
 
 
 @dataclass(frozen=True)
@@ -71,7 +75,8 @@ class Contract(Spec):
         dt: Duration of a step in seconds.
         format: Version of the format.
         output: Name of the output with the action.
-        states: Inputs that the network computes for its next step, by name.
+        states: Of a network that remembers: the output that becomes an input in the next step, by the name of that
+            input. States are zeros when an episode starts.
         mask: Number of actions that the input ``action_mask`` allows or forbids; None without such an input.
         action_spec: Meaning of an action of 1; None if unknown.
         config: Arguments of the ``ShapeObservation`` with defaults filled in; None if the policy reads no shapes.
@@ -91,7 +96,7 @@ class Contract(Spec):
     dt: float
     format: int = FORMAT
     output: str = "action"
-    states: Mapping[str, Tensor] = field(default_factory=dict)
+    states: Mapping[str, str] = field(default_factory=dict)
     mask: int | None = None
     action_spec: ActionSpec | None = None
     config: Mapping[str, Any] | None = None
@@ -135,9 +140,12 @@ class Contract(Spec):
             ValueError: A value is invalid.
         """
         for wrapper in self.wrappers:
-            if wrapper.get("name") not in ("ShapeGoal", "PointReward"):
+            if wrapper.get("name") not in _OWN:
                 raise PolicyError(f"wrappers: expected ShapeGoal and PointReward, got {wrapper.get('name')!r:.40}.")
-        for place, value in _leaves([self.config, *self.wrappers]):
+        values = list(_leaves([self.config, *self.wrappers]))
+        if len(values) > _MOST_VALUES:
+            raise PolicyError(f"config: expected at most {_MOST_VALUES} values, got {len(values)}.")
+        for place, value in values:
             name = place.rpartition(".")[2].partition("[")[0]
             most = _MOST.get(name, _MOST_NUMBER)
             if name == "file" and value is not None:
@@ -147,15 +155,10 @@ class Contract(Spec):
         here = None
         if self.config is not None:
             with without_plugins():
-                given = {name: value for name, value in self.config.items() if name not in ("features", "workspace")}
-                config, features = DetectorConfig.from_dict(given), self.features
-            if config.code_paths:
-                raise PolicyError(f"config: the segmentation is code to import, {config.code_paths[0]!r:.100}.")
-            points = sum(shape.layout.size for shape in config.shapes)
-            if len(config.shapes) > _MOST_SHAPES or points > _MOST_POINTS or len(features) > _MOST_FEATURES:
-                most = f"{_MOST_SHAPES} shapes, {_MOST_POINTS} points and {_MOST_FEATURES} features"
-                raise PolicyError(f"config: expected at most {most}.")
-            here = schema_hash(self.config)
+                code = DetectorConfig.from_dict(detector_arguments(self.config)).code_paths
+                here = schema_hash(self.config)
+            if code:
+                raise PolicyError(f"config: the segmentation is code to import, {code[0]!r:.100}.")
         if here != self.schema:
             raise PolicyError(
                 f"its features mean something else here: the hash of their schema is {str(here)[:12]}..., recorded was "
@@ -169,26 +172,24 @@ def describe(env: gym.Env[Any, Any]) -> Contract:
     Raises:
         PolicyError: A part of an observation, or an action, is no array of fixed shape.
     """
+    around: list[Any] = []  # wrappers, the innermost first
     inner: Any = env
-    while inner is not inner.unwrapped and not isinstance(inner, ShapeObservation):
+    while isinstance(inner, gym.Wrapper) and not isinstance(inner, ShapeObservation):
+        if type(inner).__name__ not in TRANSPARENT and not isinstance(inner, gym.ActionWrapper):
+            around.insert(0, inner)
         inner = inner.env
-    view, seen = None, {}
-    if isinstance(inner, ShapeObservation):
-        view, detector = inner.contexts[0], inner.detector.config
-        # A segmentation that is a function is left out: each site has its own segmentation.
-        own = None if isinstance(detector.segmentation, MaskFunction) else detector.segmentation
-        shapes = tuple(
-            replace(shape, segmentation=None) if isinstance(shape.segmentation, MaskFunction) else shape
-            for shape in detector.shapes
-        )
-        config = replace(detector, shapes=shapes, segmentation=own).to_dict()
-        config["features"] = [feature.to_dict() for feature in inner.features]
+    shapes, seen = inner if isinstance(inner, ShapeObservation) else None, {}
+    if shapes is not None:
+        view, detector = shapes.contexts[0], shapes.detector.config
+        config = replace(detector, shapes=tuple(map(_without_function, detector.shapes)))
+        config = {**_without_function(config).to_dict(), "features": [one.to_dict() for one in shapes.features]}
         if view.workspace is not None:
             config["workspace"] = to_recorded(view.workspace)
         seen = {"config": config, "schema": schema_hash(config), "image": (view.width, view.height)}
     space = env.observation_space
     spaces = space.spaces if isinstance(space, gym.spaces.Dict) else {ARRAY: space}
-    camera = camera_model(env) if view is None else view.camera
+    camera = camera_model(env) if shapes is None else shapes.contexts[0].camera
+    own = [wrapper for wrapper in around if shapes is not None and type(wrapper).__name__ in _OWN]
     return Contract(
         inputs={name: _tensor(space, f"observations of {name}") for name, space in spaces.items()},
         action=_action(env.unwrapped.action_space),
@@ -196,8 +197,29 @@ def describe(env: gym.Env[Any, Any]) -> Contract:
         camera=None if camera is None else to_recorded(camera),
         action_spec=published(env, "action_spec", getattr(getattr(env.unwrapped, "robot", None), "action_spec", None)),
         success_threshold=published(env.unwrapped, "success_threshold"),
+        wrappers=tuple({"name": type(one).__name__, "kwargs": to_plain(one._saved_kwargs)} for one in own),
+        obstacle=_obstacle(shapes, [type(wrapper).__name__ for wrapper in around]),
         **seen,
     )
+
+
+def _obstacle(shapes: Any, around: list[str]) -> str:
+    """Return why a camera is not enough for a policy, by the names of the wrappers around its shapes."""
+    for name in around:
+        if name in _SIMULATION_ONLY:
+            return f"{_SIMULATION_ONLY[name]} ({name})"
+    if shapes is None:
+        return "it does not read shapes: there is no ShapeObservation in its environment"
+    missing = [key for key in (shapes._saved_kwargs.get("keep") or ()) if key not in _ROBOT_KEYS]
+    if missing:
+        return f"it also reads {', '.join(missing)}, which only its simulator provides (keep)"
+    unknown = [name for name in around if name not in _OWN]
+    return f"it is not known what the wrapper {unknown[0]} does on a robot" if unknown else ""
+
+
+def _without_function(config: Any) -> Any:
+    """Leave out a segmentation that is a function: each site has its own segmentation."""
+    return replace(config, segmentation=None) if isinstance(config.segmentation, MaskFunction) else config
 
 
 def _tensor(space: Any, what: str) -> Tensor:
@@ -217,21 +239,15 @@ def _action(space: Any) -> Tensor:
     return replace(action, low=tuple(np.ravel(low)), high=tuple(np.ravel(high)))
 
 
-def differences(trained: Contract, here: Contract, *, same_rate: bool = True) -> list[Difference]:
+def differences(trained: Contract, here: Contract, *, same_rate: bool = True) -> list[tuple[str, Any, Any]]:
     """Return where an environment differs for a policy from that of its training, as (place, trained, here).
 
     Colours, regions of interest, workspaces and the pose of the camera may differ from site to site.
-
-    Args:
-        trained: The policy.
-        here: The environment, as ``describe`` describes it.
-        same_rate: Whether the duration of a step must be the same.
     """
     pixels = any(feature.unit == "px" for feature in trained.features)
     one, other = (dict(_places(side, pixels, same_rate)) for side in (trained, here))
-    return [
-        (place, one.get(place), other.get(place)) for place in {**one, **other} if one.get(place) != other.get(place)
-    ]
+    places = {**one, **other}
+    return [(place, one.get(place), other.get(place)) for place in places if one.get(place) != other.get(place)]
 
 
 def _places(contract: Contract, pixels: bool, same_rate: bool) -> Iterator[tuple[str, Any]]:

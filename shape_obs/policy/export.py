@@ -17,17 +17,14 @@ from typing import TYPE_CHECKING, Any, Final
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
-import onnx
 
-from shape_obs.policy.contract import Contract, PolicyError, Tensor, describe
+from shape_obs.policy.contract import ARRAY, Contract, PolicyError, describe
 from shape_obs.policy.graph_check import check_graph
-from shape_obs.policy.policy import CONTRACT, MASK, NETWORK, REPLAY, TOLERANCE, policy_from
+from shape_obs.policy.policy import CONTRACT, MASK, NETWORK, REPLAY, TOLERANCE, policy_from, refusing
 from shape_obs.robot import ActionSpec
 from shape_obs.spec import to_plain
-from shape_obs.training import PointReward
 from shape_obs.utils.documents import dump_yaml
 from shape_obs.utils.files import write_whole
-from shape_obs.wrappers import ShapeGoal, ShapeObservation
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -35,18 +32,6 @@ if TYPE_CHECKING:
 #: Largest difference from the learner's actions when a policy without images is saved, as a share of their range.
 _TOLERANCE: Final = 2e-5
 _PACKAGES: Final = ("shape-obs", "stable-baselines3", "sb3-contrib", "torch", "onnx", "gymnasium", "numpy", "mujoco")
-#: Wrappers that leave observations and actions alone.
-TRANSPARENT: Final = (
-    "TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "Autoreset", "RecordEpisodeStatistics", "RecordVideo",
-    "HumanRendering", "ClipReward", "NormalizeReward", "TransformReward", "Monitor", "Curriculum", "ActionMasker",
-    "VecMonitor", "VecCheckNan", "VecVideoRecorder",
-)  # fmt: skip
-_SIMULATION_ONLY: Final = {
-    "TrueState": "it reads the simulator's state, which no camera can measure",
-    "Pixels": "its goals come from the simulator's state, and it reads the images of one camera",
-    "Shuffled": "its points are shuffled for comparison",
-}
-_ROBOT_KEYS: Final = ("rgb", "depth", "robot")
 
 
 def save_policy(
@@ -119,34 +104,28 @@ def save_policy_onnx(
         OSError: A file cannot be read or written.
     """
     data = network if isinstance(network, bytes) else Path(network).read_bytes()
-    try:
+    with refusing():
         graph = check_graph(data).graph
-    except PolicyError:
-        raise
-    except Exception as error:
-        raise PolicyError(f"not a network of ONNX, or a damaged one: {error!s:.500}") from error
-    known = {value.name: value.type.tensor_type for value in graph.input}
-    missing = [name for name in states or () if name not in known]
+    spec, known, carried = describe(env), [value.name for value in graph.input], dict(states or {})
+    missing = [name for name in carried if name not in known]
     if missing:
         raise PolicyError(f"states: the network has no input {missing[0]!r}; it has {', '.join(known)}.")
-    carried = {}
-    for name, output in (states or {}).items():
-        dtype = str(np.dtype(onnx.helper.tensor_dtype_to_np_dtype(known[name].elem_type)))
-        carried[name] = Tensor(tuple(side.dim_value for side in known[name].shape.dim), dtype, output=output)
-    spec = describe(env)
     read = [name for name in known if name not in (*carried, MASK)]
-    inputs = dict(zip(read, spec.inputs.values(), strict=True)) if len(read) == len(spec.inputs) == 1 else spec.inputs
-    results = [value.name for value in graph.output if value.name not in (states or {}).values()]
-    versions = {name: metadata.version(name) for name in _PACKAGES if find_spec(name.replace("-", "_")) is not None}
-    record = {"env": _env_of(env), "versions": {"python": platform.python_version(), **versions}, **(summary or {})}
+    inputs = {read[0]: spec.inputs[ARRAY]} if list(spec.inputs) == [ARRAY] and len(read) == 1 else spec.inputs
+    results = [value.name for value in graph.output if value.name not in carried.values()]
     start = np.arange(len(observations)) == 0 if starts is None else np.asarray(starts, bool)
     replay = {"action": np.asarray(actions), "start": start}
-    for name, seen in zip(inputs, spec.inputs, strict=True):
-        values = [one[seen] if isinstance(one, Mapping) else one for one in observations]
+    for name in inputs:
+        values = [one[name] if isinstance(one, Mapping) else one for one in observations]
         replay[f"observation/{name}"] = np.asarray(values)
     if masks is not None:
         replay["mask"] = np.asarray(masks, bool)
-    around, obstacle = _around_shapes(env)
+    made, kinds = env.spec, (str, int, float, bool, list, tuple)
+    versions = {name: metadata.version(name) for name in _PACKAGES if find_spec(name.replace("-", "_")) is not None}
+    record: dict[str, Any] = {"versions": {"python": platform.python_version(), **versions}, **(summary or {})}
+    if made is not None:
+        plain = {name: value for name, value in made.kwargs.items() if isinstance(value, kinds)}
+        record["env"] = {"id": made.id, "kwargs": plain, "max_episode_steps": made.max_episode_steps}
     spec = replace(
         spec,
         inputs=inputs,
@@ -154,41 +133,9 @@ def save_policy_onnx(
         states=carried,
         mask=replay["mask"].shape[1] if masks is not None else None,
         action_spec=action_spec or spec.action_spec,
-        wrappers=tuple({"name": type(own).__name__, "kwargs": to_plain(own._saved_kwargs)} for own in around),
-        obstacle=obstacle,
         trained=to_plain(record),
     )
     _write(Path(path), data, spec, replay)
-
-
-def _around_shapes(env: gym.Env[Any, Any]) -> tuple[list[Any], str]:
-    """Return the ``ShapeGoal`` and ``PointReward`` around the shapes, innermost first, and why no camera is enough."""
-    around: list[Any] = []
-    inner: Any = env
-    while isinstance(inner, gym.Wrapper) and not isinstance(inner, ShapeObservation):
-        if type(inner).__name__ not in TRANSPARENT and not isinstance(inner, gym.ActionWrapper):
-            around.insert(0, inner)
-        inner = inner.env
-    own = [wrapper for wrapper in around if isinstance(wrapper, (ShapeGoal, PointReward))]
-    others = [type(wrapper).__name__ for wrapper in around if wrapper not in own]
-    for name in others:
-        if name in _SIMULATION_ONLY:
-            return own, f"{_SIMULATION_ONLY[name]} ({name})"
-    if not isinstance(inner, ShapeObservation):
-        return [], "it does not read shapes: there is no ShapeObservation in its environment"
-    missing = [key for key in (inner._saved_kwargs.get("keep") or ()) if key not in _ROBOT_KEYS]
-    if missing:
-        return own, f"it also reads {', '.join(missing)}, which only its simulator provides (keep)"
-    return own, f"it is not known what the wrapper {others[0]} does on a robot" if others else ""
-
-
-def _env_of(env: gym.Env[Any, Any]) -> dict[str, Any] | None:
-    """Return id, arguments and length of episodes of an environment, for the record."""
-    if env.spec is None:
-        return None
-    kinds = (str, int, float, bool, list, tuple)
-    plain = {name: value for name, value in env.spec.kwargs.items() if isinstance(value, kinds)}
-    return {"id": env.spec.id, "kwargs": plain, "max_episode_steps": env.spec.max_episode_steps}
 
 
 def _write(path: Path, network: bytes, spec: Contract, replay: Mapping[str, npt.NDArray[Any]]) -> None:

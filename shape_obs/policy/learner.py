@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import copy
 import inspect
-import io
 import logging
 import math
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any, Final
 
@@ -22,10 +20,10 @@ import gymnasium as gym
 import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, VecNormalize, VecTransposeImage
+from stable_baselines3.common.policies import BaseModel
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, VecNormalize
 
-from shape_obs.policy.contract import ARRAY, PolicyError, describe
-from shape_obs.policy.export import TRANSPARENT
+from shape_obs.policy.contract import ARRAY, TRANSPARENT, PolicyError, describe
 from shape_obs.policy.policy import MASK
 
 Values = dict[str, Any]  # tensors with a first axis of 1, by the name of the input
@@ -39,37 +37,35 @@ _STATISTIC: Final = re.compile(r"(^|_)(mean|average|avg|var|variance|std|m2|rms|
 
 
 def export(model: BaseAlgorithm, env: Any) -> tuple[gym.Env[Any, Any], bytes, dict[str, Any]]:
-    """Return the environment that the policy reads, its graph, and arguments for ``save_policy_onnx``.
-
-    Args:
-        model: Trained model.
-        env: Environment of the training.
+    """Return the environment that a policy reads, its graph, and arguments for ``save_policy_onnx``.
 
     Raises:
-        PolicyError: A wrapper has a state or changes actions in a way that a policy cannot hold, or PyTorch cannot
-            export the policy.
+        PolicyError: A policy cannot hold a wrapper, or PyTorch cannot export the policy.
     """
     source, observing, acting = _wrappers(model, env)
-    stages = [_stage(wrapper) for wrapper in observing]
-    states = {name: zeros for _, more in stages for name, zeros in more.items()}
-    space, masks, policy = source.observation_space, {}, model.policy
-    inputs = {
-        name: torch.zeros((1, *tensor.shape), dtype=getattr(torch, tensor.dtype))
-        for name, tensor in describe(source).inputs.items()
-    }
+    policy: Any = model.policy
+    inputs = describe(source).inputs
+    network = _Network(model, [_stage(wrapper) for wrapper in observing], acting, source.unwrapped.action_space.dtype)
+    following, masks = {name: f"{name}_next" for name in network.zeros}, {}
+    logger, validated = logging.getLogger("torch.onnx"), torch.distributions.Distribution._validate_args
+    level = logger.level
     try:
-        parameters = inspect.signature(policy._predict).parameters
-        if "lstm_states" in parameters:
-            states |= {name: torch.zeros(policy.lstm_hidden_state_shape) for name in ("lstm_h", "lstm_c")}
-        if "action_masks" in parameters:
+        if "action_masks" in inspect.signature(policy._predict).parameters:
             masks = {MASK: torch.ones((1, policy.action_net.out_features), dtype=torch.bool)}
-        network = _Network(model, [compute for compute, _ in stages], acting, source.unwrapped.action_space.dtype)
-        following = {name: f"{name}_next" for name in states}
-        with _exporting(network, model.device):
-            program = torch.onnx.export(
+        logger.setLevel(logging.ERROR)  # it names libraries that are not installed
+        # PyTorch cannot export questions about values, such as whether the parameters of a distribution are valid.
+        torch.distributions.Distribution.set_default_validate_args(False)
+        policy.set_training_mode(False)
+        policy.to("cpu")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            tensors = {
+                name: torch.zeros((1, *one.shape), dtype=getattr(torch, one.dtype)) for name, one in inputs.items()
+            }
+            program: Any = torch.onnx.export(
                 network,
-                kwargs={"inputs": inputs, "states": states, "masks": masks},
-                input_names=[*inputs, *states, *masks],
+                kwargs={"inputs": tensors, "states": network.zeros, "masks": masks},
+                input_names=[*inputs, *network.zeros, *masks],
                 output_names=["action", *following.values()],
                 dynamo=True,
                 external_data=False,
@@ -80,9 +76,13 @@ def export(model: BaseAlgorithm, env: Any) -> tuple[gym.Env[Any, Any], bytes, di
             f"the policy {type(policy).__name__} of {type(model).__name__} cannot be exported; export its network "
             f"yourself, and use save_policy_onnx. {error!s:.500}"
         ) from error
-    sizes = masks[MASK].shape[1] if masks else None
-    played = _play(model, space, [_own(wrapper) for wrapper in observing], acting, _moments(observing[:1]), sizes)
-    return source, program.model_proto.SerializeToString(), {**played, "states": following}  # type: ignore[union-attr]
+    finally:
+        if isinstance(policy, torch.nn.Module):
+            policy.to(model.device)
+        torch.distributions.Distribution.set_default_validate_args(validated)
+        logger.setLevel(level)
+    played = _play(model, source.observation_space, observing, acting, masks[MASK].shape[1] if masks else 0)
+    return source, program.model_proto.SerializeToString(), {**played, "states": following}
 
 
 def _wrappers(model: BaseAlgorithm, env: Any) -> tuple[gym.Env[Any, Any], list[Any], list[Any]]:
@@ -90,15 +90,20 @@ def _wrappers(model: BaseAlgorithm, env: Any) -> tuple[gym.Env[Any, Any], list[A
 
     It is the outermost one whose observations are no longer changed by wrappers that a graph can express.
     """
-    layers, inner = [], env
+    layers: list[Any] = []
+    inner: Any = env
     if not isinstance(env, VecEnv) and (normalize := model.get_vec_normalize_env()) is not None:
         layers.append(normalize)
     while isinstance(inner, (VecEnv, gym.Wrapper)):
-        if isinstance(inner, VecEnv) and not isinstance(inner, VecEnvWrapper):
-            inner = _first_env(inner)
-            continue
-        layers += [] if type(inner).__name__ in TRANSPARENT else [inner]
-        inner = inner.venv if isinstance(inner, VecEnvWrapper) else inner.env
+        if isinstance(inner, (VecEnvWrapper, gym.Wrapper)):
+            layers += [] if type(inner).__name__ in TRANSPARENT else [inner]
+            inner = inner.venv if isinstance(inner, VecEnvWrapper) else inner.env
+        elif envs := getattr(inner, "envs", ()):
+            inner = envs[0]
+        elif spec := inner.get_attr("spec")[0]:
+            inner = gym.make(spec, disable_env_checker=True)
+        else:
+            raise PolicyError("the environment runs in other processes and has no spec: make it with gymnasium.make.")
     source, observing, acting = None, [], []
     for layer in layers:
         name = type(layer).__name__
@@ -120,15 +125,6 @@ def _wrappers(model: BaseAlgorithm, env: Any) -> tuple[gym.Env[Any, Any], list[A
     return source or inner, observing, acting
 
 
-def _first_env(env: VecEnv) -> Any:
-    if hasattr(env, "envs"):
-        return env.envs[0]  # type: ignore[attr-defined]
-    spec = env.get_attr("spec")[0]
-    if spec is None:
-        raise PolicyError("the environment runs in other processes and has no spec: make it with gymnasium.make.")
-    return gym.make(spec, disable_env_checker=True)
-
-
 def _refuse_statistics(wrapper: Any) -> None:
     for name, value in vars(wrapper).items():
         counted = all(hasattr(value, part) for part in ("mean", "var", "count"))
@@ -144,7 +140,7 @@ def _refuse_statistics(wrapper: Any) -> None:
 
 _STAGES: Final = (
     gym.wrappers.NormalizeObservation, gym.wrappers.FrameStackObservation, gym.wrappers.FlattenObservation,
-    gym.wrappers.FilterObservation, gym.wrappers.ReshapeObservation, VecNormalize, VecFrameStack, VecTransposeImage,
+    gym.wrappers.FilterObservation, gym.wrappers.ReshapeObservation, VecNormalize, VecFrameStack,
 )  # fmt: skip
 
 
@@ -158,7 +154,7 @@ def _stage(wrapper: Any) -> tuple[Compute, Values]:
     """Return what a wrapper of observations computes, as tensors, and zeros of its states."""
     if isinstance(wrapper, (gym.wrappers.NormalizeObservation, VecNormalize)):
         clip = getattr(wrapper, "clip_obs", math.inf)
-        moments = {name: tuple(map(torch.from_numpy, pair)) for name, pair in _moments([wrapper]).items()}
+        moments = {name: tuple(map(torch.from_numpy, pair)) for name, pair in _moments(wrapper).items()}
 
         def normalize(values: Values, states: Values) -> Values:
             scaled = {name: (values[name].double() - mean) / spread for name, (mean, spread) in moments.items()}
@@ -171,37 +167,36 @@ def _stage(wrapper: Any) -> tuple[Compute, Values]:
         keys, dtype = list(_named(wrapper.env.observation_space)), getattr(torch, str(wrapper.observation_space.dtype))
         return lambda values, _: {ARRAY: torch.cat([values[key].flatten(1).to(dtype) for key in keys], dim=1)}, {}
     if isinstance(wrapper, gym.wrappers.ReshapeObservation):
-        return lambda values, _: {ARRAY: values[ARRAY].reshape(1, *wrapper.observation_space.shape)}, {}
-    if isinstance(wrapper, gym.wrappers.FilterObservation):
-        return lambda values, _: {key: values[key] for key in wrapper.observation_space.spaces}, {}
-    images = [] if wrapper.skip else getattr(wrapper, "image_space_keys", [ARRAY])
-    return lambda values, _: {**values, **{key: values[key].permute(0, 3, 1, 2) for key in images}}, {}
+        return lambda values, _: {ARRAY: values[ARRAY].reshape(1, *wrapper.observation_space.shape or ())}, {}
+    return lambda values, _: {key: values[key] for key in wrapper.observation_space.spaces}, {}  # FilterObservation
 
 
-def _moments(wrappers: Sequence[Any]) -> dict[str, tuple[Any, Any]]:
+def _moments(wrapper: Any) -> dict[str, tuple[Any, Any]]:
     """Return mean and standard deviation of what a wrapper reads, by key, if it normalises."""
-    for wrapper in wrappers:
-        if isinstance(wrapper, gym.wrappers.NormalizeObservation) or (
-            isinstance(wrapper, VecNormalize) and wrapper.norm_obs
-        ):
-            keys = getattr(wrapper, "norm_obs_keys", None) or [ARRAY]
-            found: Any = wrapper.obs_rms if isinstance(wrapper.obs_rms, dict) else {ARRAY: wrapper.obs_rms}
-            return {key: (np.array(found[key].mean), np.sqrt(found[key].var + wrapper.epsilon)) for key in keys}
-    return {}
+    kinds = gym.wrappers.NormalizeObservation, VecNormalize
+    if not isinstance(wrapper, kinds) or not getattr(wrapper, "norm_obs", True):
+        return {}
+    keys, found = getattr(wrapper, "norm_obs_keys", None) or [ARRAY], _named(wrapper.obs_rms)
+    return {key: (np.array(found[key].mean), np.sqrt(found[key].var + wrapper.epsilon)) for key in keys}
+
+
+def _stacks(stacks: Any) -> dict[str, Any]:
+    return getattr(stacks, "sub_stacked_observations", None) or {ARRAY: stacks}
 
 
 def _stack(wrapper: Any) -> tuple[Compute, Values]:
     """Return a stack of frames, along a new axis (Gymnasium) or along the channels (Stable-Baselines3)."""
     name = type(wrapper).__name__
+    padding: Values = {}  # if it stays empty, the first frame is repeated
     if isinstance(wrapper, VecFrameStack):
-        parts = getattr(wrapper.stacked_obs, "sub_stacked_observations", None) or {ARRAY: wrapper.stacked_obs}
+        parts = _stacks(wrapper.stacked_obs)
         axes = {key: 1 if part.channels_first else -1 for key, part in parts.items()}
         zeros = {key: torch.from_numpy(np.zeros_like(part.stacked_obs[:1])) for key, part in parts.items()}
         padding = zeros
     else:
         spaces, axes = _named(wrapper.env.observation_space), {}
-        padding = {key: torch.from_numpy(np.asarray(value)) for key, value in _named(wrapper.padding_value).items()}
-        padding = {} if wrapper.padding_type == "reset" else padding  # else the first frame is repeated
+        if wrapper.padding_type != "reset":
+            padding = {key: torch.from_numpy(np.asarray(value)) for key, value in _named(wrapper.padding_value).items()}
         shapes = {key: (1, wrapper.stack_size, *space.shape) for key, space in spaces.items()}
         zeros = {key: torch.from_numpy(np.zeros(shapes[key], space.dtype)) for key, space in spaces.items()}
 
@@ -222,24 +217,29 @@ def _stack(wrapper: Any) -> tuple[Compute, Values]:
 class _Network(torch.nn.Module):
     """Compute the action for the observation of the environment, with all stages of the training."""
 
-    def __init__(self, model: BaseAlgorithm, stages: Sequence[Compute], acting: Sequence[Any], dtype: Any) -> None:
+    def __init__(self, model: BaseAlgorithm, stages: Any, acting: Sequence[Any], dtype: Any) -> None:
         super().__init__()
-        self.policy, self.stages, self.acting, self.dtype = model.policy, stages, acting, getattr(torch, str(dtype))
+        self.policy: Any = model.policy
         self.space = model.observation_space
+        self.stages, self.acting, self.dtype = [compute for compute, _ in stages], acting, getattr(torch, str(dtype))
+        self.zeros = {name: zeros for _, states in stages for name, zeros in states.items()}
+        if hasattr(self.policy, "lstm_actor"):
+            self.zeros |= {name: torch.zeros(self.policy.lstm_hidden_state_shape) for name in ("lstm_h", "lstm_c")}
 
     def forward(self, inputs: Values, states: Values, masks: Values) -> tuple[torch.Tensor, ...]:
-        policy: Any = self.policy
-        values, memory = inputs, dict(states)
+        policy, values, memory = self.policy, inputs, dict(states)
         for stage in self.stages:
             values = stage(values, memory)
         for key, space in _named(self.space).items():
             if isinstance(space, gym.spaces.Box) and tuple(values[key].shape[1:]) != space.shape:  # an image (H, W, C)
                 values = {**values, key: values[key].permute(0, 3, 1, 2)}
         seen = values if isinstance(self.space, gym.spaces.Dict) else values[ARRAY]
-        if "lstm_h" in memory:
-            remembered, starts = (memory["lstm_h"], memory["lstm_c"]), torch.zeros(1)
-            action, remembered = policy._predict(seen, remembered, starts, deterministic=True)
-            memory["lstm_h"], memory["lstm_c"] = remembered
+        if "lstm_h" in memory:  # as its ``_predict`` does, but for its question whether an episode starts
+            features = BaseModel.extract_features(policy, seen, policy.pi_features_extractor)
+            latent, following = policy.lstm_actor(features[None], (memory["lstm_h"], memory["lstm_c"]))
+            memory["lstm_h"], memory["lstm_c"] = following
+            latent = policy.mlp_extractor.forward_actor(latent[0])
+            action = policy._get_action_dist_from_latent(latent).get_actions(deterministic=True)
         else:
             options = {"action_masks": masks[MASK]} if masks else {}
             action = policy._predict(seen, deterministic=True, **options)
@@ -263,50 +263,21 @@ def _clip(action: torch.Tensor, low: torch.Tensor, high: torch.Tensor) -> torch.
     return torch.minimum(torch.maximum(action, low), high)
 
 
-@contextmanager
-def _exporting(network: _Network, device: Any) -> Iterator[None]:
-    """Prepare a network for the exporter, silence this one, and restore the network."""
-    policy, logger, level = network.policy, logging.getLogger("torch.onnx"), logging.getLogger("torch.onnx").level
-    validates = torch.distributions.Distribution._validate_args
-    policy.set_training_mode(False)
-    logger.setLevel(logging.ERROR)
-    torch.distributions.Distribution.set_default_validate_args(False)  # a question about values, which have none yet
-    if hasattr(policy, "_process_sequence"):
-        policy._process_sequence = _one_step  # type: ignore[assignment]
-    try:
-        network.to("cpu")
-        with warnings.catch_warnings(), redirect_stdout(io.StringIO()):
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        network.to(device)
-        vars(policy).pop("_process_sequence", None)
-        torch.distributions.Distribution.set_default_validate_args(validates)
-        logger.setLevel(level)
-
-
-def _one_step(features: Any, states: Any, starts: Any, lstm: torch.nn.LSTM) -> tuple[Any, Any]:
-    """Do what recurrent policies do with one step; they ask whether an episode starts, which has no value yet."""
-    output, states = lstm(features[None], states)
-    return output[0], states
-
-
 # ---- The learner's own actions
 
 
 def _own(wrapper: Any) -> Callable[[Any, bool], Any]:
-    """Return what a wrapper itself makes of an observation, and of whether an episode starts; it stays as it is."""
+    """Return what a wrapper itself makes of an observation, and of whether an episode starts; it stays as it is.
+
+    Wrappers of vector environments take a batch of one observation.
+    """
     if isinstance(wrapper, VecNormalize):
         return lambda seen, _: wrapper.normalize_obs(seen)
-    if isinstance(wrapper, VecTransposeImage):
-        return lambda seen, _: _batched(wrapper.transpose_observations, seen)
     if isinstance(wrapper, VecFrameStack):
-        stacks = copy.deepcopy(wrapper.stacked_obs)
-
-        def stack(batch: Any) -> Any:
-            return stacks.update(batch, np.array([False]), [{}])[0]
-
-        return lambda seen, start: _batched(stacks.reset if start else stack, seen)
+        stacks: Any = copy.deepcopy(wrapper.stacked_obs)
+        for part in _stacks(stacks).values():
+            part.stacked_obs = part.stacked_obs[:1]
+        return lambda seen, start: stacks.reset(seen) if start else stacks.update(seen, np.array([False]), [{}])[0]
     again: Any = copy.copy(wrapper)
     if isinstance(wrapper, gym.wrappers.NormalizeObservation):
         again.update_running_mean = False
@@ -325,33 +296,34 @@ def _own(wrapper: Any) -> Callable[[Any, bool], Any]:
     return queue
 
 
-def _batched(function: Callable[[Any], Any], seen: Any) -> Any:
-    """Apply a function of batches of observations to one observation."""
-    if not isinstance(seen, Mapping):
-        return np.array(function(np.asarray(seen)[None])[0])
-    batch = function({key: np.asarray(value)[None] for key, value in seen.items()})
-    return {key: np.array(value[0]) for key, value in batch.items()}
-
-
-def _play(
-    model: BaseAlgorithm, space: Any, own: Sequence[Any], acting: Sequence[Any], moments: Any, masked: int | None
-) -> dict[str, Any]:
+def _play(model: BaseAlgorithm, space: Any, observing: list[Any], acting: list[Any], masked: int) -> dict[str, Any]:
     """Return observations, and the actions that the learner itself computes for them behind its own wrappers."""
-    random, spaces = np.random.default_rng(0), copy.deepcopy(_named(space))
+    random, moments, spaces = (
+        np.random.default_rng(0),
+        _moments(observing[0] if observing else None),
+        copy.deepcopy(_named(space)),
+    )
     for one in spaces.values():
         one.seed(0)
+    single = sum(isinstance(wrapper, gym.Wrapper) for wrapper in observing)
+    own = [_own(wrapper) for wrapper in observing]
     observations, actions, masks, state = [], [], [], None
     starts = np.arange(_REPLAYED) % (_REPLAYED // 2) == 0
     for start in starts:
         values = {key: _drawn(one, random, moments.get(key)) for key, one in spaces.items()}
         observations.append(seen := values if isinstance(space, gym.spaces.Dict) else values[ARRAY])
-        for wrap in own:
+        for wrap in own[:single]:
+            seen = wrap(seen, bool(start))
+        batch = {key: np.asarray(value)[None] for key, value in _named(seen).items()}
+        seen = batch if isinstance(seen, Mapping) else batch[ARRAY]
+        for wrap in own[single:]:
             seen = wrap(seen, bool(start))
         options: dict[str, Any] = {}
         if masked:
             masks.append(np.append(random.random(masked - 1) < 0.7, True))  # at least one action is allowed
             options["action_masks"] = masks[-1]
         action, state = model.predict(seen, state=state, episode_start=np.array([start]), deterministic=True, **options)
+        action = action[0]
         for wrapper in reversed(acting):
             action = wrapper.action(action)
         actions.append(action)

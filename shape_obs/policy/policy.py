@@ -6,20 +6,22 @@ import hashlib
 import os
 import warnings
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 import onnxruntime
+from onnx.helper import tensor_dtype_to_np_dtype
 
 from shape_obs.config.config_file import SCENE_FIELDS, SECTIONS
 from shape_obs.config.detector_config import ALGORITHM
 from shape_obs.configurations.base import Configuration
 from shape_obs.features import Points3D
 from shape_obs.policy import graph_check
-from shape_obs.policy.contract import Contract, Difference, PolicyError, Tensor, describe, differences
+from shape_obs.policy.contract import Contract, PolicyError, Tensor, describe, differences
 from shape_obs.robot import ActionSpec
 from shape_obs.utils.arrays import decode_npz
 from shape_obs.utils.documents import parse_yaml
@@ -61,10 +63,8 @@ def load_policy(path: str | os.PathLike[str]) -> Policy:
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such policy")
-    try:
+    with refusing(f"{path}: "):
         policy = policy_from(_read(path))
-    except PolicyError as error:
-        raise PolicyError(f"{path}: {error}") from error
     trained = policy.spec.detector_version
     if policy.spec.config is not None and trained != ALGORITHM:
         warnings.warn(
@@ -76,46 +76,48 @@ def load_policy(path: str | os.PathLike[str]) -> Policy:
     return policy
 
 
+@contextmanager
+def refusing(where: str = "") -> Iterator[None]:
+    """Raise ``PolicyError`` for whatever the readers of zip files, YAML, arrays and ONNX raise on hostile content."""
+    try:
+        yield
+    except PolicyError as error:
+        raise PolicyError(f"{where}{error}") from error
+    except Exception as error:
+        raise PolicyError(f"{where}not a policy, or a damaged one: {type(error).__name__}: {error!s:.500}") from error
+
+
+def _read(path: Path) -> dict[str, bytes]:
+    """Return the content of the three files of a policy, from a folder or a zip file."""
+    if path.is_dir():
+        files = [file for file in path.iterdir() if file.name in _MOST_BYTES]
+        _check_sizes([(file.name, file.stat().st_size) for file in files])
+        return {file.name: file.read_bytes() for file in files}
+    with zipfile.ZipFile(path) as archive:
+        _check_sizes([(info.filename, info.file_size) for info in archive.infolist()])
+        return {name: archive.read(name) for name in _MOST_BYTES}
+
+
+def _check_sizes(found: Sequence[tuple[str, int]]) -> None:
+    names = sorted(name for name, _ in found)
+    if names != sorted(_MOST_BYTES):
+        raise PolicyError(f"expected {', '.join(_MOST_BYTES)}, got {', '.join(names)[:200]!r}.")
+    for name, size in found:
+        if size > _MOST_BYTES[name]:
+            raise PolicyError(f"{name}: expected at most {_MOST_BYTES[name]} bytes, got {size}.")
+
+
 def policy_from(members: Mapping[str, bytes], tolerance: float = TOLERANCE) -> Policy:
     """Create a policy from the content of its three files, after the checks of ``load_policy``."""
-    try:
+    with refusing():
         spec = Contract.from_dict(parse_yaml(members[CONTRACT], CONTRACT))
         spec.check_config()
         for name in (NETWORK, REPLAY):
             if spec.sha256.get(name) != hashlib.sha256(members[name]).hexdigest():
                 raise PolicyError(f"{name} was changed, or is damaged: its content is not that of {CONTRACT}.")
-        replay = decode_npz(members[REPLAY], REPLAY, most_bytes=_MOST_BYTES[REPLAY])
         policy = Policy(spec, members[NETWORK])
-        policy.check_replay(replay, tolerance)
-    except PolicyError:
-        raise
-    except Exception as error:  # the readers of YAML, protobuf, ONNX and arrays raise many kinds on hostile content
-        raise PolicyError(f"not a policy, or a damaged one: {type(error).__name__}: {error!s:.500}") from error
-    return policy
-
-
-def _read(path: Path) -> dict[str, bytes]:
-    """Return the content of the three files of a policy, from a folder or a zip file."""
-    try:
-        if path.is_dir():
-            sizes = {file.name: file.stat().st_size for file in path.iterdir() if file.name in _MOST_BYTES}
-            _check_sizes(list(sizes), sizes)
-            return {name: (path / name).read_bytes() for name in _MOST_BYTES}
-        with zipfile.ZipFile(path) as archive:
-            _check_sizes(archive.namelist(), {info.filename: info.file_size for info in archive.infolist()})
-            return {name: archive.read(name) for name in _MOST_BYTES}
-    except PolicyError:
-        raise
-    except Exception as error:  # zipfile raises nine kinds on damaged files
-        raise PolicyError(f"not a policy, or a damaged one: {error}. Copy it again.") from error
-
-
-def _check_sizes(names: Sequence[str], sizes: Mapping[str, int]) -> None:
-    if sorted(names) != sorted(_MOST_BYTES):
-        raise PolicyError(f"expected {', '.join(_MOST_BYTES)}, got {', '.join(sorted(names))[:200]!r}.")
-    for name, most in _MOST_BYTES.items():
-        if sizes[name] > most:
-            raise PolicyError(f"{name}: expected at most {most} bytes, got {sizes[name]}.")
+        policy.check_replay(decode_npz(members[REPLAY], REPLAY, most_bytes=_MOST_BYTES[REPLAY]), tolerance)
+        return policy
 
 
 class Policy:
@@ -141,21 +143,22 @@ class Policy:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.log_severity_level = 4
-        self._session = onnxruntime.InferenceSession(
-            model.SerializeToString(), options, providers=["CPUExecutionProvider"]
-        )
-        carried = {state.output: state.shape for state in spec.states.values()}
-        masks = {MASK: (1, spec.mask)} if spec.mask else {}
-        wanted = {name: (1, *tensor.shape) for name, tensor in spec.inputs.items()} | masks
-        wanted |= {name: state.shape for name, state in spec.states.items()}
-        found = {value.name: tuple(value.shape) for value in self._session.get_inputs()}
-        if found != wanted:
-            raise PolicyError(f"{NETWORK}: expected the inputs {wanted}, got {found}.")
-        wanted = {spec.output: (1, *spec.action.shape)} | carried
-        found = {value.name: tuple(value.shape) for value in self._session.get_outputs()}
-        if any(found.get(name) != shape for name, shape in wanted.items()):
-            raise PolicyError(f"{NETWORK}: expected the outputs {wanted}, got {found}.")
-        self._outputs = list(wanted)
+        data = model.SerializeToString()
+        self._session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        inputs = {value.name: tuple(value.shape) for value in self._session.get_inputs()}
+        outputs = {value.name: tuple(value.shape) for value in self._session.get_outputs()}
+        wanted = {name: (1, *tensor.shape) for name, tensor in spec.inputs.items()}
+        wanted |= {MASK: (1, spec.mask)} if spec.mask else {}
+        wanted |= {name: outputs.get(output) for name, output in spec.states.items()}
+        if inputs != wanted:
+            raise PolicyError(f"{NETWORK}: expected the inputs {wanted}, got {inputs}.")
+        if outputs.get(spec.output) != (1, *spec.action.shape):
+            raise PolicyError(f"{NETWORK}: expected the output {spec.output!r} as {spec.action.shape}, got {outputs}.")
+        self._zeros = {
+            value.name: np.zeros(inputs[value.name], tensor_dtype_to_np_dtype(value.type.tensor_type.elem_type))
+            for value in model.graph.input
+            if value.name in spec.states
+        }
         self.reset()
 
     @property
@@ -165,7 +168,7 @@ class Policy:
 
     def reset(self) -> None:
         """Start an episode: forget earlier observations, if the policy remembers any."""
-        self._states = {name: np.zeros(state.shape, state.dtype) for name, state in self.spec.states.items()}
+        self._states = self._zeros
 
     def act(self, observation: Any, action_mask: npt.ArrayLike | None = None) -> Any:
         """Return the deterministic action for an observation.
@@ -190,7 +193,8 @@ class Policy:
             raise PolicyError(f"action_mask: expected {self.spec.mask or 'no'} values, as in training.")
         if action_mask is not None:
             feed[MASK] = np.asarray(action_mask, bool).reshape(1, -1)
-        actions, *following = self._session.run(self._outputs, feed)
+        names = [self.spec.output, *(self.spec.states[name] for name in self._states)]
+        actions, *following = self._session.run(names, feed)
         self._states = dict(zip(self._states, following, strict=True))
         action: Any = np.asarray(actions)[0]
         if not np.isfinite(action).all():
@@ -222,7 +226,7 @@ class Policy:
             found.append(action_difference(self.spec.action, action, replay["action"][i]))
         self.reset()
         worst = int(np.argmax(found))
-        ties = self.spec.action.discrete and np.count_nonzero(found) <= _TIES * len(found)
+        ties = not self.spec.action.dtype.startswith("float") and np.count_nonzero(found) <= _TIES * len(found)
         if not found[worst] <= tolerance and not ties:
             raise PolicyError(
                 f"the network does not compute what the learner did: action {worst} of {len(found)} differs by "
@@ -249,7 +253,14 @@ class Policy:
             ValueError: The environment or the scene do not fit.
         """
         self.check_deployable()
-        self._check_place(env)
+        camera = env_protocol.camera_model(env)
+        placed = camera is not None and camera.transform_camera_to_base is not None
+        for feature in self.spec.features:
+            if getattr(getattr(feature, "coordinates", None), "frame", None) == "base" and not placed:
+                raise PolicyError(
+                    f"the policy reads {feature.kind!r} in the base frame, but this camera has no extrinsics: give "
+                    "--extrinsics FILE, as `shape-obs calibrate base` writes it."
+                )
         if goal is not None and not self.spec.needs_goal:
             raise PolicyError("the policy was trained without goals, so it cannot be given one.")
         config = dict(self.spec.config or {})
@@ -277,10 +288,6 @@ class Policy:
                 wrapped = PointReward(wrapped, **arguments)
         return wrapped
 
-    def differences(self, env: gym.Env[Any, Any], *, same_rate: bool = True) -> list[Difference]:
-        """Return the differences that ``check_env`` refuses, as (place, trained, here)."""
-        return differences(self.spec, describe(env), same_rate=same_rate)
-
     def check_env(self, env: gym.Env[Any, Any], *, same_rate: bool = True) -> None:
         """Refuse an environment whose observations or actions differ from those of the training.
 
@@ -289,7 +296,7 @@ class Policy:
         Raises:
             PolicyError: The environment differs. The message names each difference.
         """
-        found = self.differences(env, same_rate=same_rate)
+        found = differences(self.spec, describe(env), same_rate=same_rate)
         if found:
             named = "; ".join(f"{place}: {one!r} in training, {other!r} here" for place, one, other in found)
             raise PolicyError(f"the policy does not fit this environment: {named}.")
@@ -310,24 +317,13 @@ class Policy:
         """Compare the environment with that of the training; raises ``PolicyError`` if they differ."""
         self.check_env(env, same_rate=self.same_rate)
 
-    def _check_place(self, env: gym.Env[Any, Any]) -> None:
-        """Refuse features in the base frame if the camera has no extrinsics."""
-        for feature in self.spec.features:
-            in_base = getattr(getattr(feature, "coordinates", None), "frame", None) == "base"
-            camera = env_protocol.camera_model(env) if in_base else None
-            if in_base and (camera is None or camera.transform_camera_to_base is None):
-                raise PolicyError(
-                    f"the policy reads {feature.kind!r} in the base frame, but this camera has no extrinsics: give "
-                    "--extrinsics FILE, as `shape-obs calibrate base` writes it."
-                )
-
 
 def action_difference(space: Tensor, action: npt.ArrayLike, other: npt.ArrayLike) -> float:
     """Return the largest difference of two actions, as a share of the range; 1 if discrete actions differ."""
     one, two = np.asarray(action), np.asarray(other)
     if one.shape != two.shape:
         return np.inf
-    if space.discrete:
+    if not space.dtype.startswith("float"):
         return float(np.any(one != two))
     low, high = (np.reshape(np.asarray(side, np.float64), one.shape) for side in (space.low, space.high))
     span = np.where(np.isfinite(high - low), high - low, 2 * np.maximum(1, np.abs(two)))

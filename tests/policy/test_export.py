@@ -185,7 +185,7 @@ def test_a_policy_that_computes_something_else_is_found_out(tmp_path):
     model = learner(Sampled())
     own = model.policy.predict
     model.policy.predict = lambda *args, **options: (own(*args, **options)[0] + 0.5, None)
-    with pytest.raises(PolicyError, match=r"the network does not compute what the learner did: action 0 of 64"):
+    with pytest.raises(PolicyError, match=r"the network does not compute what the learner did: action .* of 64"):
         save_policy(model, Sampled(), tmp_path / "a.policy")
     model.policy = SimpleNamespace(action_space=FORCE)  # of another library
     with pytest.raises(PolicyError, match=r"the policy SimpleNamespace of PPO cannot be .* use save_policy_onnx"):
@@ -209,7 +209,7 @@ def test_networks_of_other_learners(tmp_path):
     np.testing.assert_allclose(policy.act(seen[3]), wanted[3], atol=1e-6)
     assert policy.spec.trained["learner"] == "own"
     for changed, message in (
-        ((seen[:9], wanted[:9]), "expected 32 to 1024 steps of observation/observation, action, start"),
+        ((seen[:9], wanted[:9]), "expected 32 to 1024 steps of observation/input, action, start"),
         ((seen, wanted[::-1]), "does not compute what the learner did"),
     ):
         with pytest.raises(PolicyError, match=message):

@@ -64,11 +64,11 @@ class TestMismatch:
             policy.check_env(env)
 
     def test_what_may_differ(self, policy):
-        assert policy.differences(cable(workspace=WORKSPACE, segmentation=BLUE["segmentation"])) == []
+        policy.check_env(cable(workspace=WORKSPACE, segmentation=BLUE["segmentation"]))
         shapes = [{**shape, "length": 0.8} for shape in policy.spec.config["shapes"]]
-        assert policy.differences(cable(shapes=shapes, max_speed=3.0)) == []
+        policy.check_env(cable(shapes=shapes, max_speed=3.0))
         slow = policy.wrap(self.cell(policy, {"low": [-0.3] * 6}, 30), scene=BLUE)
-        assert policy.differences(slow, same_rate=False) == []
+        policy.check_env(slow, same_rate=False)
         assert isinstance(slow, ShapeGoal)
         other = policy.wrap(self.cell(policy, {}, 20), scene={**BLUE, "shapes": shapes, "max_speed": 3.0})
         config = other.get_wrapper_attr("detector").config
@@ -135,7 +135,7 @@ def test_a_segmentation_that_is_a_function_is_given_again_at_each_site(tmp_path)
     policy = saved(untrained(env), env, tmp_path / "a.policy")
     assert policy.spec.config["segmentation"] is None
     cell = policy.wrap(TestMismatch().cell(policy, {}, 20), scene=BLUE)
-    assert policy.differences(cell) == []
+    policy.check_env(cell)
 
 
 # ---- goals of several slots
