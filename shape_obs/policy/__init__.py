@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from shape_obs.policy.contract import Contract, PolicyError
-from shape_obs.policy.next_command import deploy_command
-from shape_obs.policy.policy import Policy, load_policy
+from shape_obs.policy.policy import Policy, deploy_command, load_policy
 
 if TYPE_CHECKING:
     from shape_obs.policy.export import save_policy as save_policy

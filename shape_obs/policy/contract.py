@@ -32,11 +32,6 @@ TRANSPARENT: Final = (
     "VecMonitor", "VecCheckNan", "VecVideoRecorder", "VecTransposeImage",
 )  # fmt: skip
 _OWN: Final = ("ShapeGoal", "PointReward")
-_SIMULATION_ONLY: Final = {
-    "TrueState": "it reads the simulator's state, which no camera can measure",
-    "Pixels": "its goals come from the simulator's state, and it reads the images of one camera",
-    "Shuffled": "its points are shuffled for comparison",
-}
 _ROBOT_KEYS: Final = ("rgb", "depth", "robot")
 #: Name of the input for observations that are one array.
 ARRAY: Final = "observation"
@@ -63,6 +58,11 @@ class Tensor(Spec):
     dtype: str
     low: tuple[float, ...] = ()
     high: tuple[float, ...] = ()
+
+    @property
+    def discrete(self) -> bool:
+        """Whether it consists of integers."""
+        return not self.dtype.startswith("float")
 
 
 @dataclass(frozen=True)
@@ -133,12 +133,7 @@ class Contract(Spec):
         return any((wrapper.get("kwargs") or {}).get("goal") is not None for wrapper in self.wrappers)
 
     def check_config(self) -> None:
-        """Refuse a configuration that names code or files, asks for too much, or has another meaning here.
-
-        Raises:
-            PolicyError: The message gives the reason.
-            ValueError: A value is invalid.
-        """
+        """Refuse a configuration that names code or files, asks for too much, or has another meaning here."""
         for wrapper in self.wrappers:
             if wrapper.get("name") not in _OWN:
                 raise PolicyError(f"wrappers: expected ShapeGoal and PointReward, got {wrapper.get('name')!r:.40}.")
@@ -160,61 +155,45 @@ class Contract(Spec):
             if code:
                 raise PolicyError(f"config: the segmentation is code to import, {code[0]!r:.100}.")
         if here != self.schema:
-            raise PolicyError(
-                f"its features mean something else here: the hash of their schema is {str(here)[:12]}..., recorded was "
-                f"{str(self.schema)[:12]}... Use the version of shape-obs that saved it."
-            )
+            raise PolicyError("its features mean something else here: use the version of shape-obs that saved it.")
 
 
 def describe(env: gym.Env[Any, Any]) -> Contract:
-    """Return the part of a contract that describes an environment.
-
-    Raises:
-        PolicyError: A part of an observation, or an action, is no array of fixed shape.
-    """
-    around: list[Any] = []  # wrappers, the innermost first
-    inner: Any = env
+    """Return the part of a contract that describes an environment; refuse observations without a fixed shape."""
+    own, unknown, inner = [], [], env  # wrappers, the outermost first
     while isinstance(inner, gym.Wrapper) and not isinstance(inner, ShapeObservation):
-        if type(inner).__name__ not in TRANSPARENT and not isinstance(inner, gym.ActionWrapper):
-            around.insert(0, inner)
+        if type(inner).__name__ in _OWN:
+            own.insert(0, {"name": type(inner).__name__, "kwargs": to_plain(getattr(inner, "_saved_kwargs", {}))})
+        elif type(inner).__name__ not in TRANSPARENT and not isinstance(inner, gym.ActionWrapper):
+            unknown.append(type(inner).__name__)
         inner = inner.env
-    shapes, seen = inner if isinstance(inner, ShapeObservation) else None, {}
-    if shapes is not None:
-        view, detector = shapes.contexts[0], shapes.detector.config
+    seen: dict[str, Any] = {"camera": camera_model(env)}
+    obstacle = "it does not read shapes: there is no ShapeObservation in its environment"
+    if isinstance(inner, ShapeObservation):
+        view, detector = inner.contexts[0], inner.detector.config
         config = replace(detector, shapes=tuple(map(_without_function, detector.shapes)))
-        config = {**_without_function(config).to_dict(), "features": [one.to_dict() for one in shapes.features]}
+        config = {**_without_function(config).to_dict(), "features": [one.to_dict() for one in inner.features]}
         if view.workspace is not None:
             config["workspace"] = to_recorded(view.workspace)
         seen = {"config": config, "schema": schema_hash(config), "image": (view.width, view.height)}
+        seen |= {"camera": view.camera, "wrappers": tuple(own)}
+        kept = [key for key in inner._saved_kwargs.get("keep") or () if key not in _ROBOT_KEYS]
+        obstacle = f"it also reads {', '.join(kept)}, which only its simulator provides (keep)" if kept else ""
+    if unknown:
+        obstacle = f"it is not known what the wrapper {unknown[-1]} does on a robot"
+    seen["camera"] = None if seen["camera"] is None else to_recorded(seen["camera"])
     space = env.observation_space
     spaces = space.spaces if isinstance(space, gym.spaces.Dict) else {ARRAY: space}
-    camera = camera_model(env) if shapes is None else shapes.contexts[0].camera
-    own = [wrapper for wrapper in around if shapes is not None and type(wrapper).__name__ in _OWN]
+    robot = getattr(env.unwrapped, "robot", None)
     return Contract(
         inputs={name: _tensor(space, f"observations of {name}") for name, space in spaces.items()},
         action=_action(env.unwrapped.action_space),
         dt=seconds_per_step(env),
-        camera=None if camera is None else to_recorded(camera),
-        action_spec=published(env, "action_spec", getattr(getattr(env.unwrapped, "robot", None), "action_spec", None)),
+        action_spec=published(env, "action_spec", getattr(robot, "action_spec", None)),
         success_threshold=published(env.unwrapped, "success_threshold"),
-        wrappers=tuple({"name": type(one).__name__, "kwargs": to_plain(one._saved_kwargs)} for one in own),
-        obstacle=_obstacle(shapes, [type(wrapper).__name__ for wrapper in around]),
+        obstacle=obstacle,
         **seen,
     )
-
-
-def _obstacle(shapes: Any, around: list[str]) -> str:
-    """Return why a camera is not enough for a policy, by the names of the wrappers around its shapes."""
-    for name in around:
-        if name in _SIMULATION_ONLY:
-            return f"{_SIMULATION_ONLY[name]} ({name})"
-    if shapes is None:
-        return "it does not read shapes: there is no ShapeObservation in its environment"
-    missing = [key for key in (shapes._saved_kwargs.get("keep") or ()) if key not in _ROBOT_KEYS]
-    if missing:
-        return f"it also reads {', '.join(missing)}, which only its simulator provides (keep)"
-    unknown = [name for name in around if name not in _OWN]
-    return f"it is not known what the wrapper {unknown[0]} does on a robot" if unknown else ""
 
 
 def _without_function(config: Any) -> Any:

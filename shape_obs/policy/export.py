@@ -18,7 +18,7 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.policy.contract import ARRAY, Contract, PolicyError, describe
+from shape_obs.policy.contract import ARRAY, Contract, describe
 from shape_obs.policy.graph_check import check_graph
 from shape_obs.policy.policy import CONTRACT, MASK, NETWORK, REPLAY, TOLERANCE, policy_from, refusing
 from shape_obs.robot import ActionSpec
@@ -107,9 +107,6 @@ def save_policy_onnx(
     with refusing():
         graph = check_graph(data).graph
     spec, known, carried = describe(env), [value.name for value in graph.input], dict(states or {})
-    missing = [name for name in carried if name not in known]
-    if missing:
-        raise PolicyError(f"states: the network has no input {missing[0]!r}; it has {', '.join(known)}.")
     read = [name for name in known if name not in (*carried, MASK)]
     inputs = {read[0]: spec.inputs[ARRAY]} if list(spec.inputs) == [ARRAY] and len(read) == 1 else spec.inputs
     results = [value.name for value in graph.output if value.name not in carried.values()]

@@ -41,15 +41,11 @@ _ATTRIBUTES: Final = tuple(
 def check_graph(data: bytes) -> onnx.ModelProto:
     """Read a network and refuse one that could do more than compute a small result from its inputs.
 
-    Args:
-        data: Content of a file of ONNX.
-
     Returns:
-        The network, with an axis of unknown size in its inputs, the batch, set to 1, and the shapes of all values.
+        The network, with a batch of 1 and the shapes of all values.
 
     Raises:
-        PolicyError: The message gives the reason.
-        Exception: What onnx and protobuf raise for damaged files.
+        PolicyError: The message gives the reason. Damaged files raise what onnx and protobuf raise.
     """
     if len(data) > MOST_BYTES:
         raise PolicyError(f"expected a network of at most {MOST_BYTES} bytes, got {len(data)}.")
@@ -95,10 +91,9 @@ def _check_cost(graph: onnx.GraphProto) -> None:
     shapes: dict[str, tuple[int, ...]] = {tensor.name: tuple(tensor.dims) for tensor in graph.initializer}
     for value in (*graph.input, *graph.value_info, *graph.output):
         kind: Any = value.type.tensor_type
-        if kind.HasField("shape") and all(
-            side.HasField("dim_value") and side.dim_value >= 0 for side in kind.shape.dim
-        ):
-            shapes[value.name] = tuple(side.dim_value for side in kind.shape.dim)
+        sides = [side.dim_value if side.HasField("dim_value") else -1 for side in kind.shape.dim]
+        if kind.HasField("shape") and min(sides, default=0) >= 0:
+            shapes[value.name] = tuple(sides)
     names = {name for node in graph.node for name in (*node.input, *node.output)} | {
         value.name for value in graph.input
     }
@@ -110,10 +105,8 @@ def _check_cost(graph: onnx.GraphProto) -> None:
     computed = sum(sizes[name] for name in results) * _ITEM_BYTES
     work = sum(_work(node, shapes, sizes) for node in graph.node)
     if computed > _MOST_COMPUTED or work > _MOST_WORK:
-        raise PolicyError(
-            f"expected at most {_MOST_COMPUTED} bytes and {_MOST_WORK:.0g} multiplications in a step, got {computed} "
-            f"and {work:.3g}."
-        )
+        most = f"{_MOST_COMPUTED} bytes and {_MOST_WORK:.0g} multiplications"
+        raise PolicyError(f"expected at most {most} in a step, got {computed} and {work:.3g}.")
 
 
 def _work(node: onnx.NodeProto, shapes: dict[str, tuple[int, ...]], sizes: dict[str, int]) -> int:

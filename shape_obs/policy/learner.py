@@ -37,11 +37,7 @@ _STATISTIC: Final = re.compile(r"(^|_)(mean|average|avg|var|variance|std|m2|rms|
 
 
 def export(model: BaseAlgorithm, env: Any) -> tuple[gym.Env[Any, Any], bytes, dict[str, Any]]:
-    """Return the environment that a policy reads, its graph, and arguments for ``save_policy_onnx``.
-
-    Raises:
-        PolicyError: A policy cannot hold a wrapper, or PyTorch cannot export the policy.
-    """
+    """Return the environment that a policy reads, its graph, and arguments for ``save_policy_onnx``."""
     source, observing, acting = _wrappers(model, env)
     policy: Any = model.policy
     inputs = describe(source).inputs
@@ -72,10 +68,8 @@ def export(model: BaseAlgorithm, env: Any) -> tuple[gym.Env[Any, Any], bytes, di
                 verbose=False,
             )
     except (torch.onnx.errors.OnnxExporterError, RuntimeError, ValueError, TypeError, AttributeError) as error:
-        raise PolicyError(
-            f"the policy {type(policy).__name__} of {type(model).__name__} cannot be exported; export its network "
-            f"yourself, and use save_policy_onnx. {error!s:.500}"
-        ) from error
+        what = f"the policy {type(policy).__name__} of {type(model).__name__} cannot be exported"
+        raise PolicyError(f"{what}; export it yourself, and use save_policy_onnx. {error!s:.500}") from error
     finally:
         if isinstance(policy, torch.nn.Module):
             policy.to(model.device)
@@ -103,22 +97,19 @@ def _wrappers(model: BaseAlgorithm, env: Any) -> tuple[gym.Env[Any, Any], list[A
         elif spec := inner.get_attr("spec")[0]:
             inner = gym.make(spec, disable_env_checker=True)
         else:
-            raise PolicyError("the environment runs in other processes and has no spec: make it with gymnasium.make.")
+            raise PolicyError("the environment is in another process and has no spec: use gymnasium.make.")
     source, observing, acting = None, [], []
     for layer in layers:
         name = type(layer).__name__
-        if isinstance(layer, (gym.wrappers.RescaleAction, gym.wrappers.ClipAction)):
+        if isinstance(layer, _ACTIONS):
             acting.insert(0, layer)
         elif isinstance(layer, _STAGES) and source is None:
             if isinstance(layer, gym.wrappers.NormalizeObservation) and getattr(env, "num_envs", 1) > 1:
-                raise PolicyError(
-                    f"{name}: each of several environments has its own statistics: normalise with VecNormalize."
-                )
+                raise PolicyError(f"{name}: each of several environments has its own: normalise with VecNormalize.")
             observing.insert(0, layer)
         elif isinstance(layer, (gym.ActionWrapper, VecEnvWrapper)):
-            changed = "observations" if isinstance(layer, VecEnvWrapper) else "actions"
-            known = ", ".join(kind.__name__ for kind in (*_STAGES, gym.wrappers.RescaleAction, gym.wrappers.ClipAction))
-            raise PolicyError(f"a policy cannot hold how {name} changes {changed}; it can hold {known}.")
+            known = ", ".join(kind.__name__ for kind in (*_STAGES, *_ACTIONS))
+            raise PolicyError(f"a policy cannot hold what {name} changes; it can hold {known}.")
         else:
             source = source or layer
             _refuse_statistics(layer)
@@ -130,9 +121,9 @@ def _refuse_statistics(wrapper: Any) -> None:
         counted = all(hasattr(value, part) for part in ("mean", "var", "count"))
         numbers = isinstance(value, (float, np.ndarray)) and _STATISTIC.search(name.lower()) is not None
         if (counted or numbers) and not isinstance(wrapper, gym.RewardWrapper):
+            keeps = f"the statistics that the wrapper {type(wrapper).__name__} keeps in {name!r}"
             raise PolicyError(
-                f"a policy cannot hold the statistics that the wrapper {type(wrapper).__name__} keeps in {name!r}: "
-                "normalise with VecNormalize of Stable-Baselines3 or NormalizeObservation of Gymnasium, outermost."
+                f"a policy cannot hold {keeps}: normalise with VecNormalize or NormalizeObservation, outermost."
             )
 
 
@@ -142,6 +133,7 @@ _STAGES: Final = (
     gym.wrappers.NormalizeObservation, gym.wrappers.FrameStackObservation, gym.wrappers.FlattenObservation,
     gym.wrappers.FilterObservation, gym.wrappers.ReshapeObservation, VecNormalize, VecFrameStack,
 )  # fmt: skip
+_ACTIONS: Final = gym.wrappers.RescaleAction, gym.wrappers.ClipAction
 
 
 def _named(value: Any) -> dict[str, Any]:
@@ -286,11 +278,9 @@ def _own(wrapper: Any) -> Callable[[Any, bool], Any]:
     again.obs_queue, again.stacked_obs = copy.deepcopy((wrapper.obs_queue, wrapper.stacked_obs))
 
     def queue(seen: Any, start: bool) -> Any:
-        again.env = SimpleNamespace(
-            observation_space=wrapper.env.observation_space,
-            reset=lambda **_: (seen, {}),
-            step=lambda _: (seen, 0.0, False, False, {}),
-        )
+        result = (seen, 0.0, False, False, {})
+        space = wrapper.env.observation_space
+        again.env = SimpleNamespace(observation_space=space, reset=lambda **_: (seen, {}), step=lambda _: result)
         return (again.reset() if start else again.step(None))[0]
 
     return queue

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shlex
 import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -39,6 +40,11 @@ _LEAST_REPLAYED, _MOST_REPLAYED = 32, 1024
 TOLERANCE: Final = 1e-4
 #: Share of replayed discrete actions that may differ: where two actions are nearly equal, rounding decides.
 _TIES: Final = 1 / 32
+
+_ROBOT: Final = "shape_obs_envs.robots:SimulatedRobot"
+_DEFAULT_ENV: Final = "ShapeObs/Cable-v0"  # of the simulated robot
+#: Arguments of an environment that change its actions or goals; others are about its camera and its training.
+_SAME_TASK: Final = ("grippers", "rope", "ropes", "step")
 
 
 def load_policy(path: str | os.PathLike[str]) -> Policy:
@@ -93,6 +99,8 @@ def _read(path: Path) -> dict[str, bytes]:
         files = [file for file in path.iterdir() if file.name in _MOST_BYTES]
         _check_sizes([(file.name, file.stat().st_size) for file in files])
         return {file.name: file.read_bytes() for file in files}
+    if path.stat().st_size > sum(_MOST_BYTES.values()):
+        raise PolicyError(f"expected a file of at most {sum(_MOST_BYTES.values())} bytes.")
     with zipfile.ZipFile(path) as archive:
         _check_sizes([(info.filename, info.file_size) for info in archive.infolist()])
         return {name: archive.read(name) for name in _MOST_BYTES}
@@ -116,7 +124,7 @@ def policy_from(members: Mapping[str, bytes], tolerance: float = TOLERANCE) -> P
             if spec.sha256.get(name) != hashlib.sha256(members[name]).hexdigest():
                 raise PolicyError(f"{name} was changed, or is damaged: its content is not that of {CONTRACT}.")
         policy = Policy(spec, members[NETWORK])
-        policy.check_replay(decode_npz(members[REPLAY], REPLAY, most_bytes=_MOST_BYTES[REPLAY]), tolerance)
+        _check_replay(policy, decode_npz(members[REPLAY], REPLAY, most_bytes=_MOST_BYTES[REPLAY]), tolerance)
         return policy
 
 
@@ -185,9 +193,7 @@ class Policy:
             value = observation.get(name) if isinstance(observation, Mapping) else observation
             array = np.asarray(value, tensor.dtype)
             if array.shape != tensor.shape:
-                raise PolicyError(
-                    f"observation {name!r}: expected shape {tensor.shape} as in training, got {array.shape}."
-                )
+                raise PolicyError(f"{name}: expected shape {tensor.shape} as in training, got {array.shape}.")
             feed[name] = array[None]
         if (action_mask is None) != (self.spec.mask is None):
             raise PolicyError(f"action_mask: expected {self.spec.mask or 'no'} values, as in training.")
@@ -200,38 +206,6 @@ class Policy:
         if not np.isfinite(action).all():
             raise PolicyError("the policy returned an action that is not finite.")
         return action
-
-    def check_replay(self, replay: Mapping[str, Array], tolerance: float = TOLERANCE) -> None:
-        """Refuse a policy whose actions differ from those that the learner computed.
-
-        Args:
-            replay: Arrays of T steps: ``observation/NAME`` for each input, ``action``, ``start`` (True where an episode
-                starts) and, if the policy has masks, ``mask``.
-            tolerance: Largest difference of an action, as a share of the range of actions.
-
-        Raises:
-            PolicyError: An array is missing or has another shape, or an action differs.
-        """
-        inputs = {f"observation/{name}": name for name in self.spec.inputs}
-        needed = [*inputs, "action", "start", *(["mask"] if self.spec.mask else [])]
-        lengths = [len(np.atleast_1d(replay.get(name, ()))) for name in needed]
-        if min(lengths) != max(lengths) or not _LEAST_REPLAYED <= lengths[0] <= _MOST_REPLAYED:
-            raise PolicyError(f"{REPLAY}: expected {_LEAST_REPLAYED} to {_MOST_REPLAYED} steps of {', '.join(needed)}.")
-        found = []
-        for i in range(lengths[0]):
-            if replay["start"][i]:
-                self.reset()
-            seen = {key: replay[name][i] for name, key in inputs.items()}
-            action = self.act(seen, replay["mask"][i] if self.spec.mask else None)
-            found.append(action_difference(self.spec.action, action, replay["action"][i]))
-        self.reset()
-        worst = int(np.argmax(found))
-        ties = not self.spec.action.dtype.startswith("float") and np.count_nonzero(found) <= _TIES * len(found)
-        if not found[worst] <= tolerance and not ties:
-            raise PolicyError(
-                f"the network does not compute what the learner did: action {worst} of {len(found)} differs by "
-                f"{found[worst]:.2g} of its range."
-            )
 
     # ---- Other environments
 
@@ -254,20 +228,18 @@ class Policy:
         """
         self.check_deployable()
         camera = env_protocol.camera_model(env)
-        placed = camera is not None and camera.transform_camera_to_base is not None
-        for feature in self.spec.features:
-            if getattr(getattr(feature, "coordinates", None), "frame", None) == "base" and not placed:
-                raise PolicyError(
-                    f"the policy reads {feature.kind!r} in the base frame, but this camera has no extrinsics: give "
-                    "--extrinsics FILE, as `shape-obs calibrate base` writes it."
-                )
+        if camera is None or camera.transform_camera_to_base is None:
+            for feature in self.spec.features:
+                if getattr(getattr(feature, "coordinates", None), "frame", None) == "base":
+                    reads = f"the policy reads {feature.kind!r} in the base frame, but this camera has no extrinsics"
+                    raise PolicyError(f"{reads}: give --extrinsics FILE, as `shape-obs calibrate base` writes it.")
         if goal is not None and not self.spec.needs_goal:
             raise PolicyError("the policy was trained without goals, so it cannot be given one.")
         config = dict(self.spec.config or {})
         shape = {name: config[name] for name in SECTIONS["shape"] if name in config}
         running = {name: config[name] for name in SECTIONS["runtime"] if name in config and name != "dt"}
-        published = env_protocol.published(env, "shape_obs_defaults", {})
-        known = {name: published[name] for name in ("shapes", *SECTIONS["scene"]) if name in published}
+        known = env_protocol.published(env, "shape_obs_defaults", {})
+        known = {name: known[name] for name in ("shapes", *SECTIONS["scene"]) if name in known}
         local = {"workspace": config.get("workspace"), **running, **known, **(scene or {})}
         source = ShapeObservation(env, **{**local, **_site_fields(shape, local)})
         wrapped: Any = source
@@ -302,14 +274,9 @@ class Policy:
             raise PolicyError(f"the policy does not fit this environment: {named}.")
 
     def check_deployable(self) -> None:
-        """Refuse a policy that cannot run with a camera.
-
-        Raises:
-            PolicyError: The policy reads values that only a simulator has, or was saved without ``action_spec``.
-        """
-        reason = self.spec.obstacle
-        if not reason and self.action_spec is None:
-            reason = "it was saved without action_spec, the meaning of its actions: save it with action_spec="
+        """Raise ``PolicyError`` if the policy cannot run with a camera and a robot."""
+        unknown = "it was saved without action_spec, the meaning of its actions: save it with action_spec="
+        reason = self.spec.obstacle or (unknown if self.action_spec is None else "")
         if reason:
             raise PolicyError(f"the policy cannot be deployed: {reason}.")
 
@@ -318,12 +285,34 @@ class Policy:
         self.check_env(env, same_rate=self.same_rate)
 
 
+def _check_replay(policy: Policy, replay: Mapping[str, Array], tolerance: float) -> None:
+    """Refuse a policy whose actions differ by more than a share of their range from those that the learner computed."""
+    inputs = {f"observation/{name}": name for name in policy.spec.inputs}
+    needed = [*inputs, "action", "start", *(["mask"] if policy.spec.mask else [])]
+    lengths = [len(np.atleast_1d(replay.get(name, ()))) for name in needed]
+    if min(lengths) != max(lengths) or not _LEAST_REPLAYED <= lengths[0] <= _MOST_REPLAYED:
+        raise PolicyError(f"{REPLAY}: expected {_LEAST_REPLAYED} to {_MOST_REPLAYED} steps of {', '.join(needed)}.")
+    found = []
+    for i in range(lengths[0]):
+        if replay["start"][i]:
+            policy.reset()
+        seen = {key: replay[name][i] for name, key in inputs.items()}
+        action = policy.act(seen, replay["mask"][i] if policy.spec.mask else None)
+        found.append(action_difference(policy.spec.action, action, replay["action"][i]))
+    policy.reset()
+    worst = int(np.argmax(found))
+    ties = policy.spec.action.discrete and np.count_nonzero(found) <= _TIES * len(found)
+    if not found[worst] <= tolerance and not ties:
+        differs = f"action {worst} of {len(found)} differs by {found[worst]:.2g} of its range"
+        raise PolicyError(f"the network does not compute what the learner did: {differs}.")
+
+
 def action_difference(space: Tensor, action: npt.ArrayLike, other: npt.ArrayLike) -> float:
     """Return the largest difference of two actions, as a share of the range; 1 if discrete actions differ."""
     one, two = np.asarray(action), np.asarray(other)
     if one.shape != two.shape:
         return np.inf
-    if not space.dtype.startswith("float"):
+    if space.discrete:
         return float(np.any(one != two))
     low, high = (np.reshape(np.asarray(side, np.float64), one.shape) for side in (space.low, space.high))
     span = np.where(np.isfinite(high - low), high - low, 2 * np.maximum(1, np.abs(two)))
@@ -345,3 +334,28 @@ def _site_fields(shape: Mapping[str, Any], scene: Mapping[str, Any]) -> dict[str
         for item in shape["shapes"]
     ]
     return {**shape, "shapes": shapes}
+
+
+def deploy_command(path: str | os.PathLike[str]) -> str:
+    """Return the ``shape-obs deploy`` command that tries a policy on a simulated robot, for a shell.
+
+    Args:
+        path: A policy, as ``save_policy`` writes it.
+
+    Raises:
+        PolicyError: The policy cannot run with a camera; the message gives the reason.
+    """
+    policy = load_policy(path)
+    policy.check_deployable()
+    trained = policy.spec.trained.get("env") or {}
+    env = str(trained.get("id", "")).rpartition(":")[2]
+    if not env.startswith("ShapeObs/"):
+        raise PolicyError(f"{env} has no simulated robot here: run `shape-obs deploy {path} --robot module:Class`.")
+    words = ["shape-obs", "deploy", str(path), "--source", "robot", "--robot", _ROBOT]
+    task = {name: value for name, value in trained["kwargs"].items() if name in _SAME_TASK}
+    settings = [f"{name}={value}" for name, value in ({"env": env} | task).items() if value != _DEFAULT_ENV]
+    if settings:
+        words += ["--robot-set", *settings]
+    if policy.spec.needs_goal and not policy.spec.has_goal:
+        words += ["--goal", "robot"]
+    return shlex.join([*words, "--episodes", "20"])

@@ -163,7 +163,7 @@ class Noisy(gym.ActionWrapper[Any, Any, Any]):
         (lambda: Counting(Sampled()), r"statistics that the wrapper Counting keeps in 'running_mean'"),
         (lambda: Counting(W.NormalizeObservation(Sampled())), "Counting keeps in 'running_mean'"),
         (lambda: W.DtypeObservation(W.NormalizeObservation(Sampled()), np.float64), "keeps in 'obs_rms'"),
-        (lambda: Noisy(Sampled()), "a policy cannot hold how Noisy changes actions"),
+        (lambda: Noisy(Sampled()), "a policy cannot hold what Noisy changes"),
         (lambda: vector(Sampled, ("VecExtractDictObs", {"key": "observation"})), "VecExtractDictObs changes"),
         (lambda: vector(lambda: W.NormalizeObservation(Sampled()), count=2), "each of several environments has"),
     ],

@@ -104,7 +104,7 @@ class TestDeployable:
     @pytest.mark.parametrize(
         ("make", "reason"),
         [
-            (lambda: TrueState(gym.make("ShapeObs/Cable-v0", render_observation=False)), "simulator's state"),
+            (lambda: TrueState(gym.make("ShapeObs/Cable-v0", render_observation=False)), "the wrapper TrueState does"),
             (lambda: cable(keep=["gripper"]), "it also reads gripper, which only its simulator provides"),
             (transformed, "the wrapper TransformObservation does on a robot"),
         ],
