@@ -51,7 +51,7 @@ def save_policy(
     Args:
         model: Trained model.
         env: Environment of the training: a vector environment or a Gymnasium environment.
-        path: File to write, such as ``"cable.policy"``, a zip file; without a suffix, a folder.
+        path: File to write, such as ``"cable.policy"``, a zip file.
         summary: Further JSON values to record about the training.
         action_spec: Meaning of an action of 1, for an environment that does not publish it.
 
@@ -88,7 +88,7 @@ def save_policy_onnx(
     clipping inside. Its input is the observation, or has the name of a key for each key of it.
 
     Args:
-        path: File to write, such as ``"cable.policy"``, a zip file; without a suffix, a folder.
+        path: File to write, such as ``"cable.policy"``, a zip file.
         network: The file of ONNX, or its content.
         env: Environment of the training, whose observations the network reads and whose actions it returns.
         observations: At least 32 observations, one after the other.
@@ -136,7 +136,7 @@ def save_policy_onnx(
 
 
 def _write(path: Path, network: bytes, spec: Contract, replay: Mapping[str, npt.NDArray[Any]]) -> None:
-    """Check a policy and write it: a folder if the path has no suffix, else a zip file."""
+    """Check a policy and write it as a zip file."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **replay)  # type: ignore[arg-type]
     members = {NETWORK: network, REPLAY: buffer.getvalue()}
@@ -144,16 +144,11 @@ def _write(path: Path, network: bytes, spec: Contract, replay: Mapping[str, npt.
     members[CONTRACT] = dump_yaml({**spec.to_dict(), "sha256": hashes}).encode()
     images = any(tensor.dtype == "uint8" for tensor in spec.inputs.values())
     policy_from(members, TOLERANCE if images else _TOLERANCE)
-    if path.suffix:
-        write_whole(path, lambda temporary: _zip(temporary, members))
-        return
-    path.mkdir(parents=True, exist_ok=True)
-    for name, data in members.items():  # the contract, which has the hashes of the others, at last
-        write_whole(path / name, lambda file, data=data: file.write_bytes(data))
 
+    def write(temporary: Path) -> None:
+        with zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, data in members.items():
+                # A constant date, so that equal content gives equal files.
+                archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), data, zipfile.ZIP_DEFLATED)
 
-def _zip(path: Path, members: Mapping[str, bytes]) -> None:
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, data in members.items():
-            # A constant date, so that equal content gives equal files.
-            archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), data, zipfile.ZIP_DEFLATED)
+    write_whole(path, write)

@@ -178,32 +178,30 @@ def _stacks(stacks: Any) -> dict[str, Any]:
 
 def _stack(wrapper: Any) -> tuple[Compute, Values]:
     """Return a stack of frames, along a new axis (Gymnasium) or along the channels (Stable-Baselines3)."""
-    name = type(wrapper).__name__
-    padding: Values = {}  # if it stays empty, the first frame is repeated
+    name, repeats = type(wrapper).__name__, getattr(wrapper, "padding_type", "zero") == "reset"
     if isinstance(wrapper, VecFrameStack):
         parts = _stacks(wrapper.stacked_obs)
         axes = {key: 1 if part.channels_first else -1 for key, part in parts.items()}
-        zeros = {key: torch.from_numpy(np.zeros_like(part.stacked_obs[:1])) for key, part in parts.items()}
-        padding = zeros
+        zeros = {key: np.zeros_like(part.stacked_obs[:1]) for key, part in parts.items()}
     else:
         spaces, axes = _named(wrapper.env.observation_space), {}
-        if wrapper.padding_type != "reset":
-            padding = {key: torch.from_numpy(np.asarray(value)) for key, value in _named(wrapper.padding_value).items()}
-        shapes = {key: (1, wrapper.stack_size, *space.shape) for key, space in spaces.items()}
-        zeros = {key: torch.from_numpy(np.zeros(shapes[key], space.dtype)) for key, space in spaces.items()}
+        zeros = {key: np.zeros((1, wrapper.stack_size, *one.shape), one.dtype) for key, one in spaces.items()}
 
     def compute(values: Values, states: Values) -> Values:
         started, stacks = states[f"{name}_started"], {}
         for key, value in values.items():
             frame, axis = (value, axes[key]) if axes else (value[:, None], 1)
             old = states[f"{name}_{key}"]
-            old = torch.where(started > 0, old, padding.get(key, frame).to(old.dtype).expand_as(old))
+            frame = frame.to(old.dtype)
+            first = frame.expand_as(old) if repeats else torch.zeros_like(old)
+            old = torch.where(started > 0, old, first)
             kept = old.narrow(axis, frame.shape[axis], old.shape[axis] - frame.shape[axis])
-            stacks[key] = states[f"{name}_{key}"] = torch.cat([kept, frame.to(old.dtype)], dim=axis)
+            stacks[key] = states[f"{name}_{key}"] = torch.cat([kept, frame], dim=axis)
         states[f"{name}_started"] = torch.clamp(started + 1, max=1)
         return stacks
 
-    return compute, {f"{name}_{key}": value for key, value in zeros.items()} | {f"{name}_started": torch.zeros(1)}
+    states = {f"{name}_{key}": torch.from_numpy(value) for key, value in zeros.items()}
+    return compute, {**states, f"{name}_started": torch.zeros(1)}
 
 
 class _Network(torch.nn.Module):

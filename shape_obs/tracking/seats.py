@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from shape_obs.geometry.polyline import arc_length, interpolate
@@ -40,6 +39,8 @@ def seat_tracked(
     seats, known = [-1] * len(tracks), [k for k, nodes in enumerate(tracks) if nodes is not None]
     if not known or not objects:
         return seats
+    from scipy.optimize import linear_sum_assignment  # takes a third of a second to import
+
     cost = np.array([[_apart(each.curve.points, tracks[k]) for each in objects] for k in known])
     sizes = np.array([each.curve.size for each in objects])
     cost += np.array([np.maximum(sizes - _LONGER * lengths[k], 0.0) for k in known])
@@ -107,6 +108,8 @@ def seat_others(
     taken, left = list(seats), [at for at in range(len(objects)) if at not in seats and at not in kept]
     anchored = [k for k in free if targets[k] is not None]
     if anchored and left:
+        from scipy.optimize import linear_sum_assignment
+
         cost = np.array([[_away(objects[at], targets[k]) for at in left] for k in anchored])
         for row, column in zip(*linear_sum_assignment(cost), strict=True):
             taken[anchored[row]] = left[column]

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
+import sys
 import warnings
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -70,8 +75,10 @@ def test_usual_learners(algorithm, space, tmp_path):
     env = Sampled(VECTOR, space)
     model = learner(env, algorithm)
     model.learn(100)
-    policy = saved(model, env, tmp_path / "folder")
+    saved(model, env, tmp_path / "a.policy")
+    shutil.unpack_archive(tmp_path / "a.policy", tmp_path / "folder", "zip")
     assert sorted(item.name for item in (tmp_path / "folder").iterdir()) == ["policy.onnx", "policy.yaml", "replay.npz"]
+    policy = load_policy(tmp_path / "folder")
     assert actions(policy, model, [VECTOR.sample() for _ in range(100)]) < 1e-5
 
 
@@ -215,3 +222,34 @@ def test_networks_of_other_learners(tmp_path):
         with pytest.raises(PolicyError, match=message):
             save_policy_onnx(tmp_path / "b.policy", tmp_path / "own.onnx", env, *changed)
     assert not (tmp_path / "b.policy").exists()
+
+
+#: Save a small policy, and stop as if the process were killed when the second file is written.
+KILLED = """
+import os, sys, zipfile
+import numpy as np
+from policies import Sampled
+from test_hostile import network
+from gymnasium.spaces import Box
+from shape_obs.policy import save_policy_onnx
+written = []
+def write(*args):
+    written.append(args)
+    if len(written) == 2:
+        os._exit(9)
+zipfile.ZipFile.writestr = write
+seen = np.zeros((32, 4), np.float32)
+save_policy_onnx(sys.argv[1], network(), Sampled(Box(-1, 1, (4,)), Box(-1, 1, (2,))), list(seen), np.zeros((32, 2)))
+"""
+
+
+@pytest.mark.parametrize("before", [None, b"another policy"])
+def test_a_process_that_is_killed_while_saving_leaves_what_was_there(before, tmp_path):
+    path, tests = tmp_path / "a.policy", Path(__file__).parents[1]
+    if before is not None:
+        path.write_bytes(before)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (tests / "support", tests / "policy")))}
+    done = subprocess.run([sys.executable, "-c", KILLED, str(path)], env=environment, capture_output=True, check=False)
+    assert done.returncode == 9, done.stderr
+    assert (path.read_bytes() if path.exists() else None) == before
+    assert len(list(tmp_path.glob(".a.policy.*"))) == 1  # the temporary file, which was being written
