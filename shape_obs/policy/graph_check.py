@@ -32,10 +32,6 @@ _OPERATORS: Final = frozenset({
     "Split", "Sqrt", "Squeeze", "Sub", "Sum", "Swish", "Tan", "Tanh", "ThresholdedRelu", "Tile", "TopK", "Transpose",
     "Trilu", "Unsqueeze", "Where", "Xor",
 })  # fmt: skip
-#: Kinds of attributes besides graphs, sparse tensors and types.
-_ATTRIBUTES: Final = tuple(
-    getattr(AttributeProto, kind) for kind in ("FLOAT", "INT", "STRING", "TENSOR", "FLOATS", "INTS", "STRINGS")
-)
 
 
 def check_graph(data: bytes) -> onnx.ModelProto:
@@ -74,8 +70,8 @@ def _check_parts(model: onnx.ModelProto) -> None:
     for node in nodes:
         if node.domain not in _DOMAINS or node.op_type not in _OPERATORS:
             raise PolicyError(f"the operator {f'{node.domain[:40]}.{node.op_type[:40]}'.strip('.')} is not allowed.")
-        if any(attribute.type not in _ATTRIBUTES for attribute in node.attribute):
-            raise PolicyError(f"the operator {node.op_type} has a subgraph or a sparse tensor.")
+        if any(attribute.type == AttributeProto.SPARSE_TENSOR for attribute in node.attribute):
+            raise PolicyError(f"the operator {node.op_type} has a sparse tensor.")
         tensors += [attribute.t for attribute in node.attribute if attribute.type == AttributeProto.TENSOR]
     for tensor in tensors:
         if tensor.data_location == TensorProto.EXTERNAL or tensor.external_data:

@@ -286,11 +286,8 @@ def _own(wrapper: Any) -> Callable[[Any, bool], Any]:
 
 def _play(model: BaseAlgorithm, space: Any, observing: list[Any], acting: list[Any], masked: int) -> dict[str, Any]:
     """Return observations, and the actions that the learner itself computes for them behind its own wrappers."""
-    random, moments, spaces = (
-        np.random.default_rng(0),
-        _moments(observing[0] if observing else None),
-        copy.deepcopy(_named(space)),
-    )
+    random, moments = np.random.default_rng(0), _moments(observing[0] if observing else None)
+    spaces = copy.deepcopy(_named(space))
     for one in spaces.values():
         one.seed(0)
     single = sum(isinstance(wrapper, gym.Wrapper) for wrapper in observing)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import sys
 import warnings
@@ -54,14 +53,17 @@ ALGORITHMS = [
     ("ARS", DISCRETE), ("MaskablePPO", DISCRETE), ("PPO", DISCRETE), ("PPO", spaces.MultiDiscrete([3, 4])),
     ("PPO", spaces.MultiBinary(3)), ("MaskablePPO", spaces.MultiDiscrete([3, 4])),
 ]  # fmt: skip
+TRAINED = [
+    *(pytest.param(*case, 2000, marks=pytest.mark.nightly) for case in ALGORITHMS),
+    *((name, space, 100) for name, space in ALGORITHMS if (name, space) in (("SAC", FORCE), ("DQN", DISCRETE))),
+]
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize(("algorithm", "space"), ALGORITHMS, ids=[f"{name}-{space}" for name, space in ALGORITHMS])
-def test_algorithms_act_as_the_learner_after_training(algorithm, space, tmp_path):
+@pytest.mark.parametrize(("algorithm", "space", "steps"), TRAINED)
+def test_algorithms_act_as_the_learner_after_training(algorithm, space, steps, tmp_path):
     env = Sampled(VECTOR, space)
     model = learner(env, algorithm, "MlpLstm" if algorithm == "RecurrentPPO" else "Mlp")
-    model.learn(2000)
+    model.learn(steps)
     policy = saved(model, env, tmp_path / "a.policy")
     mask = np.random.default_rng(1).random(policy.spec.mask or 1) < 0.7
     mask[-1] = mask[0] = True
@@ -70,65 +72,42 @@ def test_algorithms_act_as_the_learner_after_training(algorithm, space, tmp_path
     assert policy.spec.trained["algorithm"] == algorithm
 
 
-@pytest.mark.parametrize(("algorithm", "space"), [("SAC", FORCE), ("PPO", FORCE), ("DQN", DISCRETE)])
-def test_usual_learners(algorithm, space, tmp_path):
-    env = Sampled(VECTOR, space)
-    model = learner(env, algorithm)
-    model.learn(100)
-    saved(model, env, tmp_path / "a.policy")
-    shutil.unpack_archive(tmp_path / "a.policy", tmp_path / "folder", "zip")
-    assert sorted(item.name for item in (tmp_path / "folder").iterdir()) == ["policy.onnx", "policy.yaml", "replay.npz"]
-    policy = load_policy(tmp_path / "folder")
-    assert actions(policy, model, [VECTOR.sample() for _ in range(100)]) < 1e-5
-
-
-STACKS: dict[str, Any] = {
-    "VecNormalize": lambda: ("Mlp", vector(Sampled, ("VecNormalize", {}))),
-    "NormalizeObservation": lambda: ("Mlp", W.NormalizeObservation(Sampled())),
-    "frames repeated": lambda: ("Mlp", W.FlattenObservation(W.FrameStackObservation(Sampled(), 3))),
-    "frames of zeros": lambda: (
-        "Mlp",
-        W.FlattenObservation(W.FrameStackObservation(W.NormalizeObservation(Sampled()), 3, padding_type="zero")),
-    ),
-    "VecFrameStack": lambda: ("Mlp", vector(Sampled, ("VecFrameStack", {"n_stack": 4}), ("VecNormalize", {}), count=2)),
-    "VecFrameStack outside": lambda: ("Mlp", vector(Sampled, ("VecNormalize", {}), ("VecFrameStack", {"n_stack": 4}))),
-    "RescaleAction": lambda: ("Mlp", W.RescaleAction(Sampled(), np.float32(-2), np.float32(2))),
-    "goals": lambda: (
-        "MultiInput",
-        vector(lambda: Sampled(GOALS), ("VecNormalize", {"norm_obs_keys": ["observation"]})),
-    ),
-    "filter": lambda: ("MultiInput", W.FilterObservation(Sampled(GOALS), ["observation", "desired_goal"])),
-    "reshape": lambda: ("Mlp", W.ReshapeObservation(Sampled(), (5, 1))),
-    "image": lambda: ("Cnn", Sampled(IMAGE)),
-    "images stacked": lambda: ("Cnn", vector(lambda: Sampled(IMAGE), ("VecFrameStack", {"n_stack": 2}))),
-    "image and numbers": lambda: ("MultiInput", Sampled(spaces.Dict({"image": IMAGE, "numbers": VECTOR}))),
-    "number": lambda: ("Mlp", Sampled(spaces.Discrete(7))),
+NORMALIZED, STACKED = ("VecNormalize", {}), ("VecFrameStack", {"n_stack": 2})
+ONE_NORMALIZED = ("VecNormalize", {"norm_obs_keys": ["observation"]})
+ZERO = {"padding_type": "zero"}
+MODELS: dict[str, Any] = {
+    "VecNormalize": lambda: learner(vector(Sampled, NORMALIZED)),
+    "NormalizeObservation": lambda: learner(W.NormalizeObservation(Sampled())),
+    "frames repeated": lambda: learner(W.FlattenObservation(W.FrameStackObservation(Sampled(), 3))),
+    "frames of zeros": lambda: learner(W.FrameStackObservation(W.NormalizeObservation(Sampled()), 3, **ZERO)),
+    "VecFrameStack": lambda: learner(vector(Sampled, STACKED, NORMALIZED, count=2)),
+    "VecFrameStack outside": lambda: learner(vector(Sampled, NORMALIZED, STACKED)),
+    "RescaleAction": lambda: learner(W.RescaleAction(Sampled(), np.float32(-2), np.float32(2))),
+    "goals": lambda: learner(vector(lambda: Sampled(GOALS), ONE_NORMALIZED), policy="MultiInput"),
+    "filter": lambda: learner(W.FilterObservation(Sampled(GOALS), ["desired_goal"]), policy="MultiInput"),
+    "reshape": lambda: learner(W.ReshapeObservation(Sampled(), (5, 1))),
+    "image": lambda: learner(Sampled(IMAGE), policy="Cnn"),
+    "images stacked": lambda: learner(vector(lambda: Sampled(IMAGE), STACKED), policy="Cnn"),
+    "image and numbers": lambda: learner(Sampled(spaces.Dict({"i/m": IMAGE, "n": VECTOR})), policy="MultiInput"),
+    "number": lambda: learner(Sampled(spaces.Discrete(7))),
+    "gSDE": lambda: learner(Sampled(), "SAC", use_sde=True),
+    "gSDE squashed": lambda: learner(Sampled(), "PPO", use_sde=True, policy_kwargs={"squash_output": True}),
 }
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("name", STACKS)
+@pytest.mark.parametrize("name", MODELS)
 def test_wrappers_become_part_of_the_network(name, tmp_path):
-    kind, env = STACKS[name]()
-    model = learner(env, policy=kind)
+    model = MODELS[name]()
     model.learn(128)
-    policy = saved(model, env, tmp_path / "a.policy")  # compares 64 actions behind the training's own wrappers
+    # Compares 64 actions behind the training's own wrappers.
+    policy = saved(model, model.get_env(), tmp_path / "a.policy")
     assert policy.spec.trained["steps"] == model.num_timesteps
     if name == "RescaleAction":
         np.testing.assert_array_equal(policy.spec.action.high, FORCE.high)
     if name.startswith("frames"):  # an episode does not see the one before it
         first = [policy.act(np.ones(5)), policy.reset(), policy.act(np.ones(5))]
         np.testing.assert_array_equal(first[0], first[2])
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("algorithm", ["SAC", "PPO"])
-def test_state_dependent_exploration_in_its_deterministic_mode(algorithm, tmp_path):
-    env = Sampled()
-    options: Any = {"policy_kwargs": {"squash_output": True}} if algorithm == "PPO" else {}
-    model = learner(env, algorithm, use_sde=True, **options)
-    policy = saved(model, env, tmp_path / "a.policy")
-    assert actions(policy, model, [VECTOR.sample() for _ in range(100)]) < 1e-5
 
 
 @pytest.mark.nightly

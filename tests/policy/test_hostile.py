@@ -10,56 +10,38 @@ import sys
 import time
 import zipfile
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from installed import needs
 
 from shape_obs.policy import PolicyError, load_policy
 from shape_obs.policy.policy import policy_from
 
-pytestmark = needs("onnx", "onnxruntime")
+onnx = pytest.importorskip("onnx")
 SIZE = 4
+SEEN = np.random.default_rng(1).standard_normal((32, SIZE)).astype(np.float32)
+WEIGHTS = np.random.default_rng(0).standard_normal((SIZE, 2)).astype(np.float32)
 
 
-def network(change: Callable[[Any], Any] = lambda graph: None, domain: str = "") -> bytes:
+def network(change: Callable[[Any], Any] = lambda graph: None) -> bytes:
     """Return a small network: the tanh of a linear map."""
-    from onnx import TensorProto, helper, numpy_helper
-
-    weights = np.random.default_rng(0).standard_normal((SIZE, 2)).astype(np.float32)
-    value = helper.make_tensor_value_info
-    graph = helper.make_graph(
-        [
-            helper.make_node("MatMul", ["observation", "w"], ["linear"]),
-            helper.make_node("Tanh", ["linear"], ["action"]),
-        ],
-        "policy",
-        [value("observation", TensorProto.FLOAT, [1, SIZE])],
-        [value("action", TensorProto.FLOAT, [1, 2])],
-        [numpy_helper.from_array(weights, "w")],
-    )
+    value, number = onnx.helper.make_tensor_value_info, onnx.TensorProto.FLOAT
+    inputs, outputs = [value("observation", number, [1, SIZE])], [value("action", number, [1, 2])]
+    graph = onnx.helper.make_graph([], "policy", inputs, outputs)
+    constant(graph, "w", WEIGHTS)
+    node("MatMul", ["observation", "w"], ["linear"])(graph)
+    node("Tanh", ["linear"], ["action"], 1)(graph)
     change(graph)
-    opsets = [helper.make_opsetid("", 20), *([helper.make_opsetid(domain, 1)] if domain else [])]
-    return helper.make_model(graph, opset_imports=opsets, ir_version=10).SerializeToString()
+    opsets = [onnx.helper.make_opsetid("", 20), onnx.helper.make_opsetid("ai.onnx.contrib", 1)]
+    return onnx.helper.make_model(graph, opset_imports=opsets, ir_version=10).SerializeToString()
 
 
-def policy(onnx: bytes | None = None, replay: bytes | None = None, **changes: Any) -> dict[str, bytes]:
+def policy(network: bytes = b"", replay: bytes = b"", **changes: Any) -> dict[str, bytes]:
     """Return the members of a policy with changed content and correct hashes."""
-    if replay is None:
-        seen = np.random.default_rng(1).standard_normal((32, SIZE)).astype(np.float32)
-        weights = np.random.default_rng(0).standard_normal((SIZE, 2)).astype(np.float32)
-        buffer = io.BytesIO()
-        np.savez(
-            buffer,
-            allow_pickle=False,
-            **{"observation/observation": seen},
-            action=np.tanh(seen @ weights),
-            start=np.arange(32) == 0,
-        )
-        replay = buffer.getvalue()
-    members = {"policy.onnx": network() if onnx is None else onnx, "replay.npz": replay}
+    members = {"policy.onnx": network or NETWORK, "replay.npz": replay or replayed(np.tanh(SEEN @ WEIGHTS))}
     contract: dict[str, Any] = {
         "format": 1, "dt": 0.05, "inputs": {"observation": {"shape": [SIZE], "dtype": "float32"}},
         "action": {"shape": [2], "dtype": "float32", "low": [-1, -1], "high": [1, 1]},
@@ -68,42 +50,39 @@ def policy(onnx: bytes | None = None, replay: bytes | None = None, **changes: An
     return members | {"policy.yaml": yaml.safe_dump(contract | changes).encode()}
 
 
-def node(
-    kind: str, inputs: list[str], outputs: list[str], domain: str = "", **attributes: Any
-) -> Callable[[Any], None]:
-    """Return a change that puts an operator at the start of a graph."""
-
-    def change(graph: Any) -> None:
-        from onnx import helper
-
-        graph.node.insert(0, helper.make_node(kind, inputs, outputs, domain=domain, **attributes))
-
-    return change
+def replayed(action: Any) -> bytes:
+    buffer = io.BytesIO()
+    start = np.arange(len(SEEN)) == 0
+    np.savez(buffer, allow_pickle=False, **{"observation/observation": SEEN}, action=action, start=start)
+    return buffer.getvalue()
 
 
-def integers(name: str, *values: int) -> Any:
-    from onnx import TensorProto, helper
+def node(kind: str, inputs: Any, outputs: Any, at: int = 0, **attributes: Any) -> Callable[[Any], None]:
+    """Return a change that puts an operator into a graph."""
+    return lambda graph: graph.node.insert(at, onnx.helper.make_node(kind, inputs, outputs, **attributes))
 
-    return helper.make_tensor(name, TensorProto.INT64, [len(values)], values)
+
+def constant(graph: Any, name: str, values: Any) -> None:
+    graph.initializer.append(onnx.numpy_helper.from_array(np.asarray(values), name))
 
 
 def huge(graph: Any) -> None:
-    graph.initializer.append(integers("side", 200_000, 200_000))
+    constant(graph, "side", [200_000, 200_000])
     node("ConstantOfShape", ["side"], ["large"])(graph)
 
 
 def growing(graph: Any) -> None:
-    graph.initializer.append(integers("twice", 100_000, 1))
+    constant(graph, "twice", [100_000, 1])
     node("Tile", ["observation", "twice"], ["tall"])(graph)
-    graph.node.insert(1, __import__("onnx").helper.make_node("Transpose", ["tall"], ["wide"]))
-    graph.node.insert(2, __import__("onnx").helper.make_node("MatMul", ["tall", "wide"], ["square"]))
+    node("Transpose", ["tall"], ["wide"], 1)(graph)
+    node("MatMul", ["tall", "wide"], ["square"], 2)(graph)
 
 
 def long(graph: Any) -> None:
-    graph.initializer.append(integers("sides", 2500, 2500))
-    node("Expand", ["w1", "sides"], ["large"])(graph)
-    graph.initializer.append(__import__("onnx").numpy_helper.from_array(np.ones((1, 1), np.float32), "w1"))
-    graph.node.insert(1, __import__("onnx").helper.make_node("MatMul", ["large", "large"], ["slow"]))
+    constant(graph, "sides", [2500, 2500])
+    constant(graph, "one", np.ones((1, 1), np.float32))
+    node("Expand", ["one", "sides"], ["large"])(graph)
+    node("MatMul", ["large", "large"], ["slow"], 1)(graph)
 
 
 def external(graph: Any) -> None:
@@ -115,13 +94,14 @@ def external(graph: Any) -> None:
 
 
 def looping(graph: Any) -> None:
-    from onnx import helper
-
-    node("Loop", ["", "", "observation"], ["again"], body=helper.make_graph([], "body", [], []))(graph)
+    node("Loop", ["", "", "observation"], ["again"], body=onnx.helper.make_graph([], "body", [], []))(graph)
 
 
 def claimed(graph: Any) -> None:
     graph.initializer[0].dims[0] = 10**12
+
+
+NETWORK = network()
 
 
 @pytest.mark.parametrize(
@@ -135,10 +115,13 @@ def claimed(graph: Any) -> None:
         (claimed, "the tensor 'w' has the shape"),
         (node("If", ["observation"], ["x"]), "the operator If is not allowed"),
         (node("RandomNormal", [], ["x"], shape=[4]), "the operator RandomNormal is not allowed"),
-        (node("PyOp", ["observation"], ["x"], "ai.onnx.contrib"), "the operator ai.onnx.contrib.PyOp is not allowed"),
+        (
+            node("PyOp", ["observation"], ["x"], domain="ai.onnx.contrib"),
+            "the operator ai.onnx.contrib.PyOp is not allowed",
+        ),
         (lambda graph: graph.node.pop(), "not a policy, or a damaged one"),
         (lambda graph: setattr(graph.input[0], "name", "seen"), "not a policy, or a damaged one"),
-        (lambda graph: setattr(graph.output[0], "name", "linear"), "expected the outputs"),
+        (lambda graph: setattr(graph.output[0], "name", "linear"), "expected the output .action."),
     ],
 )
 def test_networks_that_could_do_more_than_compute_are_refused(change, message):
@@ -191,7 +174,11 @@ def test_zips_of_other_files_are_refused(names, message, tmp_path):
     assert [item.name for item in tmp_path.iterdir()] == ["a.policy"]
 
 
-def test_a_bomb_is_not_unpacked(tmp_path):
+def test_a_folder_is_read_too_and_a_bomb_is_not_unpacked(tmp_path):
+    (tmp_path / "folder").mkdir()
+    for name, data in policy().items():
+        (tmp_path / "folder" / name).write_bytes(data)
+    assert load_policy(tmp_path / "folder").spec.dt == 0.05
     with zipfile.ZipFile(tmp_path / "a.policy", "w", zipfile.ZIP_DEFLATED) as archive:
         for name in policy():
             archive.writestr(name, bytes(200 << 20 if name == "replay.npz" else 1))
@@ -210,6 +197,20 @@ def test_python_objects_are_not_read():
         policy_from(policy(replay=buffer.getvalue()))
     with pytest.raises(PolicyError, match=r"could not determine a constructor for the tag"):
         policy_from(policy() | {"policy.yaml": b"!!python/object/apply:os.system [exit]"})
+
+
+@pytest.mark.parametrize(("flipped", "refused"), [(1, False), (2, True)])
+def test_discrete_actions_may_differ_where_two_are_nearly_equal(flipped, refused):
+    def change(graph: Any) -> None:
+        graph.node[1].output[0] = "values"
+        node("ArgMax", ["values"], ["action"], 2, axis=1, keepdims=0)(graph)
+        graph.output[0].CopyFrom(onnx.helper.make_tensor_value_info("action", onnx.TensorProto.INT64, [1]))
+
+    action = np.argmax(SEEN @ WEIGHTS, axis=1)
+    action[:flipped] ^= 1
+    space = {"shape": [], "dtype": "int64", "low": [0], "high": [1]}
+    with pytest.raises(PolicyError, match="does not compute") if refused else nullcontext():
+        policy_from(policy(network(change), replayed(action), action=space))
 
 
 def mutated(data: bytes, chance: random.Random) -> bytes:
@@ -249,7 +250,7 @@ def test_mutations_are_refused_at_once_or_act_as_the_learner_did(count, tmp_path
                 (tmp_path / "a.policy").write_bytes(mutated(buffer.getvalue(), chance))
                 load_policy(tmp_path / "a.policy")
             elif name == "policy.onnx":
-                policy_from(policy(onnx=mutated(good[name], chance)))
+                policy_from(policy(mutated(good[name], chance)))
             else:
                 policy_from(policy(replay=mutated(good[name], chance)))
             read += 1
