@@ -162,11 +162,9 @@ class Policy:
             raise PolicyError(f"{NETWORK}: expected the inputs {wanted}, got {inputs}.")
         if outputs.get(spec.output) != (1, *spec.action.shape):
             raise PolicyError(f"{NETWORK}: expected the output {spec.output!r} as {spec.action.shape}, got {outputs}.")
-        self._zeros = {
-            value.name: np.zeros(inputs[value.name], tensor_dtype_to_np_dtype(value.type.tensor_type.elem_type))
-            for value in model.graph.input
-            if value.name in spec.states
-        }
+        kinds = {value.name: value.type.tensor_type.elem_type for value in model.graph.input}
+        self._dtypes = {name: tensor_dtype_to_np_dtype(kind) for name, kind in kinds.items()}
+        self._zeros = {name: np.zeros(inputs[name], self._dtypes[name]) for name in spec.states}
         self.reset()
 
     @property
@@ -191,7 +189,7 @@ class Policy:
         feed = dict(self._states)
         for name, tensor in self.spec.inputs.items():
             value = observation.get(name) if isinstance(observation, Mapping) else observation
-            array = np.asarray(value, tensor.dtype)
+            array = np.asarray(value, self._dtypes[name])
             if array.shape != tensor.shape:
                 raise PolicyError(f"{name}: expected shape {tensor.shape} as in training, got {array.shape}.")
             feed[name] = array[None]

@@ -189,7 +189,7 @@ def test_networks_of_other_learners(tmp_path):
         torch.onnx.export(
             network, (torch.zeros(1, 5),), tmp_path / "own.onnx", dynamo=True, external_data=False, verbose=False
         )
-    env = Sampled(spaces.Box(-3, 3, (5,)))
+    env = Sampled()  # whose observations are float64
     save_policy_onnx(tmp_path / "a.policy", tmp_path / "own.onnx", env, seen, wanted, summary={"learner": "own"})
     policy = load_policy(tmp_path / "a.policy")
     np.testing.assert_allclose(policy.act(seen[3]), wanted[3], atol=1e-6)
