@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.distance import cdist
 
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.initialization.objects import SceneObject
@@ -58,7 +57,7 @@ def near_tracks(objects: Sequence[SceneObject], tracks: Sequence[Array | None], 
     return {
         at
         for at, found in enumerate(objects)
-        if any(cdist(_sampled(found.curve.points), nodes).min(axis=1).mean() <= reach for nodes in known)
+        if any(_distances(_sampled(found.curve.points), nodes).min(axis=1).mean() <= reach for nodes in known)
     }
 
 
@@ -78,7 +77,7 @@ def add_pieces(
     for at, found in enumerate(objects):
         if at in seats or not known:
             continue
-        away = [float(cdist(_sampled(found.curve.points), _sampled(tracks[k])).min(axis=1).mean()) for k in known]
+        away = [float(_distances(_sampled(found.curve.points), _sampled(tracks[k])).min(axis=1).mean()) for k in known]
         order = np.argsort(away)
         clear = len(order) == 1 or away[order[1]] > 2 * away[order[0]]
         if away[order[0]] <= reach and clear:
@@ -129,8 +128,15 @@ def _away(found: SceneObject, target: Array | None) -> float:
 
 def _apart(curve: Array, nodes: Array | None) -> float:
     """Return the mean distance of two curves, whatever their direction."""
-    distance = cdist(_sampled(curve), _sampled(nodes))
+    distance = _distances(_sampled(curve), _sampled(nodes))
     return float(distance.min(axis=1).mean() + _MISSING * distance.min(axis=0).mean())
+
+
+def _distances(one: Array, other: Array) -> Array:
+    """Return the distance of each of ``(N, 2)`` pixels to each of ``(M, 2)``."""
+    from scipy.spatial.distance import cdist  # takes 0.1 s to import
+
+    return cdist(one, other)
 
 
 def _sampled(curve: Array | None) -> Array:
