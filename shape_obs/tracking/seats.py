@@ -136,7 +136,7 @@ def _distances(one: Array, other: Array) -> Array:
     """Return the distance of each of ``(N, 2)`` pixels to each of ``(M, 2)``."""
     from scipy.spatial.distance import cdist  # takes 0.1 s to import
 
-    return cdist(one, other)
+    return np.asarray(cdist(one, other), np.float64)
 
 
 def _sampled(curve: Array | None) -> Array:
