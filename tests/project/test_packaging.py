@@ -93,7 +93,7 @@ import shape_obs
 load(shape_obs, {skip})
 """
 # A network's part is a class of torch's, so its file begins with it; nothing else loads that file while loading.
-TORCH_PARTS = ("shape_obs.training.extractors", "shape_obs.training.pixel_policy")
+TORCH_PARTS = ("shape_obs.policy.learner", "shape_obs.training.extractors", "shape_obs.training.pixel_policy")
 APPLICATIONS = ("shape_obs.wrappers", "shape_obs.training", "shape_obs.policy", "shape_obs.ablation",
                 "shape_obs.extraction", "shape_obs.tuner", "shape_obs.cli")  # fmt: skip
 
