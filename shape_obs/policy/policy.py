@@ -84,7 +84,7 @@ def load_policy(path: str | os.PathLike[str]) -> Policy:
 
 @contextmanager
 def refusing(where: str = "") -> Iterator[None]:
-    """Raise ``PolicyError`` for whatever the readers of zip files, YAML, arrays and ONNX raise on hostile content."""
+    """Raise ``PolicyError`` for all that the readers of zip files, YAML, arrays and ONNX raise on hostile content."""
     try:
         yield
     except PolicyError as error:
