@@ -24,7 +24,7 @@ FORMAT: Final = 1
 _MOST: Final = {"n": 1000, "rows": 100, "cols": 100, "count": 100, "harmonics": 64, "coefficients": 200,
                 "open": 255, "close": 255, "epochs": 100, "n_init": 20, "max_iter": 1000, "steps": 1000}  # fmt: skip
 _MOST_NUMBER: Final = 1e6
-_MOST_VALUES: Final = 10_000
+_MOST_VALUES: Final = 5000
 #: Wrappers that leave observations and actions alone.
 TRANSPARENT: Final = (
     "TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "Autoreset", "RecordEpisodeStatistics", "RecordVideo",

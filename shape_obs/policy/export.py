@@ -105,7 +105,7 @@ def save_policy_onnx(
     """
     data = network if isinstance(network, bytes) else Path(network).read_bytes()
     with refusing():
-        graph = check_graph(data).graph
+        graph = check_graph(data)[0].graph
     spec, known, carried = describe(env), [value.name for value in graph.input], dict(states or {})
     read = [name for name in known if name not in (*carried, MASK)]
     inputs = {read[0]: spec.inputs[ARRAY]} if list(spec.inputs) == [ARRAY] and len(read) == 1 else spec.inputs

@@ -6,7 +6,6 @@ import hashlib
 import os
 import shlex
 import warnings
-import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,7 +23,7 @@ from shape_obs.features import Points3D
 from shape_obs.policy import graph_check
 from shape_obs.policy.contract import Contract, PolicyError, Tensor, describe, differences
 from shape_obs.robot import ActionSpec
-from shape_obs.utils.arrays import decode_npz
+from shape_obs.utils.arrays import decode_npz, open_zip
 from shape_obs.utils.documents import parse_yaml
 from shape_obs.wrappers import ShapeGoal, ShapeObservation, env_protocol
 
@@ -34,8 +33,11 @@ if TYPE_CHECKING:
 Array = npt.NDArray[Any]
 NETWORK, CONTRACT, REPLAY = "policy.onnx", "policy.yaml", "replay.npz"
 MASK: Final = "action_mask"
-_MOST_BYTES: Final = {NETWORK: graph_check.MOST_BYTES, CONTRACT: 1 << 20, REPLAY: 64 << 20}
+#: Largest size of each file in bytes. PyYAML reads about 60 kB a second.
+_MOST_BYTES: Final = {NETWORK: graph_check.MOST_BYTES, CONTRACT: 64 << 10, REPLAY: 32 << 20}
 _LEAST_REPLAYED, _MOST_REPLAYED = 32, 1024
+#: Work of a replay in multiplications, half a second: of a large network only the first steps are replayed.
+_REPLAY_WORK: Final = 1e10
 #: Largest difference of a replayed action, as a share of the range of actions: processors round differently.
 TOLERANCE: Final = 1e-4
 #: Share of replayed discrete actions that may differ: where two actions are nearly equal, rounding decides.
@@ -101,7 +103,7 @@ def _read(path: Path) -> dict[str, bytes]:
         return {file.name: file.read_bytes() for file in files}
     if path.stat().st_size > sum(_MOST_BYTES.values()):
         raise PolicyError(f"expected a file of at most {sum(_MOST_BYTES.values())} bytes.")
-    with zipfile.ZipFile(path) as archive:
+    with path.open("rb") as file, open_zip(file) as archive:
         _check_sizes([(info.filename, info.file_size) for info in archive.infolist()])
         return {name: archive.read(name) for name in _MOST_BYTES}
 
@@ -118,6 +120,7 @@ def _check_sizes(found: Sequence[tuple[str, int]]) -> None:
 def policy_from(members: Mapping[str, bytes], tolerance: float = TOLERANCE) -> Policy:
     """Create a policy from the content of its three files, after the checks of ``load_policy``."""
     with refusing():
+        _check_sizes([(name, len(data)) for name, data in members.items()])
         spec = Contract.from_dict(parse_yaml(members[CONTRACT], CONTRACT))
         spec.check_config()
         for name in (NETWORK, REPLAY):
@@ -140,14 +143,16 @@ class Policy:
     Attributes:
         spec: As given.
         same_rate: Whether ``attach`` refuses a loop whose rate differs from that of the training.
+        replayed: Number of recorded steps that are replayed at most, which takes half a second.
     """
 
     spec: Contract
     same_rate: bool = True
+    replayed: int
 
     def __init__(self, spec: Contract, network: bytes) -> None:
         self.spec = spec
-        model = graph_check.check_graph(network)
+        model, work = graph_check.check_graph(network)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.log_severity_level = 4
@@ -164,6 +169,7 @@ class Policy:
             raise PolicyError(f"{NETWORK}: expected the output {spec.output!r} as {spec.action.shape}, got {outputs}.")
         kinds = {value.name: value.type.tensor_type.elem_type for value in model.graph.input}
         self._dtypes = {name: tensor_dtype_to_np_dtype(kind) for name, kind in kinds.items()}
+        self.replayed = max(_LEAST_REPLAYED, int(_REPLAY_WORK / max(work, 1)))
         self._zeros = {name: np.zeros(inputs[name], self._dtypes[name]) for name in spec.states}
         self.reset()
 
@@ -291,7 +297,7 @@ def _check_replay(policy: Policy, replay: Mapping[str, Array], tolerance: float)
     if min(lengths) != max(lengths) or not _LEAST_REPLAYED <= lengths[0] <= _MOST_REPLAYED:
         raise PolicyError(f"{REPLAY}: expected {_LEAST_REPLAYED} to {_MOST_REPLAYED} steps of {', '.join(needed)}.")
     found = []
-    for i in range(lengths[0]):
+    for i in range(min(lengths[0], policy.replayed)):
         if replay["start"][i]:
             policy.reset()
         seen = {key: replay[name][i] for name, key in inputs.items()}

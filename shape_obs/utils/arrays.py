@@ -9,7 +9,7 @@ import zipfile
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import cv2
 import numpy as np
@@ -23,7 +23,12 @@ MOST_BYTES: Final = 4 << 30
 #: Largest number of pixels of a PNG image, 8192 x 8192. OpenCV itself rejects other images from 2^30 pixels on.
 MOST_PIXELS: Final = 1 << 26
 
-_COUNT_AT: Final = -12  # position of the number of entries, from the end of a ZIP file without a comment
+#: Largest list of entries of a ZIP file in bytes: some 10,000 entries.
+_LONGEST_LIST: Final = 1 << 20
+#: The end of a ZIP file without a comment: signature, number of entries, bytes of the list of entries, length of the
+#: comment. Before it there is the signature of ZIP64 if another list counts, of more than 65,535 entries or 4 GiB.
+_ZIP_END: Final = struct.Struct("<4s6xHI4xH")
+_ZIP_MARK, _ZIP64_MARK, _ZIP64_BYTES = b"PK\5\6", b"PK\6\7", 20
 _PNG: Final = b"\x89PNG\r\n\x1a\n"
 _PNG_SIZE: Final = struct.Struct(">II")  # width and height, the first fields of the first chunk
 _PNG_SIZE_AT: Final = len(_PNG) + 8  # after the length and the name of the chunk
@@ -156,13 +161,9 @@ def decode_npz(data: bytes, where: str, *, most_bytes: int = MOST_BYTES) -> dict
     """
     arrays: dict[str, npt.NDArray[Any]] = {}
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        with open_zip(io.BytesIO(data)) as archive:
             if sum(entry.file_size for entry in archive.infolist()) > most_bytes:
                 raise ValueError(f"expected at most {most_bytes} bytes when unpacked")
-            # ``zipfile`` does not compare these: a damaged length in the list of entries hides those that follow.
-            wanted = int.from_bytes(data[_COUNT_AT - len(archive.comment) :][:2], "little")
-            if wanted != len(archive.namelist()) & 0xFFFF:
-                raise ValueError(f"expected {wanted} entries, found {len(archive.namelist())}")
             for name in archive.namelist():
                 if not name.endswith(".npy") or name[:-4] in arrays:
                     raise ValueError(f"unexpected entry {name!r}")
@@ -170,6 +171,33 @@ def decode_npz(data: bytes, where: str, *, most_bytes: int = MOST_BYTES) -> dict
     except _DAMAGED as error:
         raise ValueError(f"{where}: not a file of NumPy arrays, or a damaged one: {error}") from error
     return arrays
+
+
+def open_zip(file: BinaryIO) -> zipfile.ZipFile:
+    """Open a ZIP file after checking its list of entries, which ``zipfile`` reads without a limit.
+
+    Args:
+        file: The open file.
+
+    Raises:
+        zipfile.BadZipFile: The file is damaged, has a comment, more than some 10,000 entries or 4 GiB, or another kind
+            of compression than NumPy's.
+    """
+    tail = _ZIP64_BYTES + _ZIP_END.size
+    file.seek(-min(tail, file.seek(0, io.SEEK_END)), io.SEEK_END)
+    end = file.read()
+    if len(end) < _ZIP_END.size:
+        raise zipfile.BadZipFile("it is too short for a ZIP file")
+    mark, count, size, comment = _ZIP_END.unpack(end[-_ZIP_END.size :])
+    if mark != _ZIP_MARK or comment or end.startswith(_ZIP64_MARK) or size > _LONGEST_LIST:
+        raise zipfile.BadZipFile(f"its end is missing, has a comment, or a list of more than {_LONGEST_LIST} bytes")
+    archive = zipfile.ZipFile(file)
+    entries = archive.infolist()
+    if count != len(entries):  # a damaged length in the list of entries hides those that follow
+        raise zipfile.BadZipFile(f"expected {count} entries, found {len(entries)}")
+    if any(entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for entry in entries):
+        raise zipfile.BadZipFile("expected entries that are stored or deflated")
+    return archive
 
 
 def _content(path: Path) -> bytes:
