@@ -15,6 +15,7 @@ from shape_obs.cli.options import (
     make_robot,
     read_config,
     read_settings,
+    scene_of,
 )
 from shape_obs.cli.parsing import Option, wrong_usage
 from shape_obs.utils.documents import make_named
@@ -124,7 +125,7 @@ def make_deployment(args: ControllerArguments, **options: Any) -> Deployment:
         if args.goal is not None:
             env = ShapeGoal(env, goal=goal)
     else:
-        env = policy.wrap(make_bare_env(args, robot, **options), goal, _scene(args, robot))
+        env = policy.wrap(make_bare_env(args, robot, **options), goal, scene_of(read_config(args, robot)))
         policy.check_env(env, same_rate=policy.same_rate)
     if args.goal == _ROBOT:
         env = RobotGoals(env, own)
@@ -137,16 +138,6 @@ def _load(path: Path) -> Any:
     policy = load_policy(path)
     policy.check_deployable()
     return policy
-
-
-def _scene(args: ControllerArguments, robot: Any) -> dict[str, Any]:
-    """Return the entries of the config that differ between training and this site."""
-    from shape_obs.config.config_file import SECTIONS
-
-    config = read_config(args, robot)
-    scene = {name: config[name] for name in ("shapes", *SECTIONS["scene"], *SECTIONS["runtime"]) if name in config}
-    scene.pop("dt", None)  # set by the loop
-    return scene
 
 
 def _with_training_defaults(args: ControllerArguments, policy: Any) -> ControllerArguments:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -227,3 +227,14 @@ def read_config(args: RobotArguments, robot: Any) -> dict[str, Any]:
     if config.get("on_invalid") == "nan":  # the detector's default, which saved files contain; no policy reads NaN
         del config["on_invalid"]
     return config
+
+
+def scene_of(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the entries of a config that differ between the training of a policy and a site.
+
+    The duration of a step is that of the loop.
+    """
+    from shape_obs.config.config_file import SECTIONS
+
+    names = ("shapes", *SECTIONS["scene"], *SECTIONS["runtime"])
+    return {name: config[name] for name in names if name in config and name != "dt"}

@@ -1,4 +1,4 @@
-"""``shape-obs replay``: run the detector over a recording."""
+"""``shape-obs replay``: run the detector over a recording, and a trained policy on what it finds."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import json
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from shape_obs.cli.options import check_source, open_named, read_settings, warnings_as_lines
+from shape_obs.cli.options import check_source, open_named, read_settings, scene_of, warnings_as_lines
 from shape_obs.cli.outputs import Overwrite, check_outputs
 from shape_obs.cli.parsing import Option, parse
 from shape_obs.cli.rerun_option import (
@@ -41,7 +41,12 @@ class Arguments:
     """A folder, FILE.db3, FILE.bag, FILE.mcap or a video file; or, with --frames, a camera (d455[:serial], webcam:0,
     module:Class) or the id of an environment."""
     config: Annotated[Path | None, Option("FILE", "detection", existing="config file")] = None
-    """A YAML config file; needed unless --verify is given."""
+    """A YAML config file; needed unless --verify or --policy is given."""
+    policy: Annotated[Path | None, Option("FILE", "detection", existing="policy")] = None
+    """A trained policy, as shape_obs.save_policy writes it: find the shapes that it reads, and compute its action for
+    each frame, without moving anything. --config then only describes how the object looks; default: as in training."""
+    goal: Annotated[Path | None, Option("FILE", "detection", existing="goal file")] = None
+    """The goal of the policy, as `shape-obs goal` writes it."""
     csv: Annotated[Path | None, Option("FILE", "output")] = None
     """Write the shapes as a CSV table, and FILE.meta.json next to it."""
     npz: Annotated[Path | None, Option("FILE", "output")] = None
@@ -71,10 +76,13 @@ class Arguments:
 def main(argv: Sequence[str]) -> int:
     """Run the command and return the exit code."""
     args = parse(Arguments, with_rerun_value(argv), "shape-obs replay")
-    if args.config is None and not args.verify:
-        raise UsageError("give --config FILE to detect with, or --verify to check the recording.")
+    detects = args.config is not None or args.policy is not None
+    if not detects and not args.verify:
+        raise UsageError("give --config FILE or --policy FILE to detect with, or --verify to check the recording.")
+    if args.goal is not None and args.policy is None:
+        raise UsageError("--goal: only for a trained policy; give --policy FILE.")
     unused = [name for name in ("csv", "npz", "parquet", "video", "rerun") if getattr(args, name) is not None]
-    if args.config is None and unused:
+    if not detects and unused:
         raise UsageError(f"--{unused[0]} needs --config FILE, which finds the shapes that it shows.")
     tables = _tables(args)
     metadata = None if args.csv is None else args.csv.with_name(f"{args.csv.name}.meta.json")
@@ -84,14 +92,14 @@ def main(argv: Sequence[str]) -> int:
 
     for path in tables:
         check_table_path(path)
-    arguments = None if args.config is None else load_config(args.config)
+    arguments = {} if args.config is None else load_config(args.config)
     with warnings_as_lines("shape-obs replay"), open_named(args.recording, args.extrinsics, args.set) as source:
         if (source.live or source.kind == "env") and args.frames is None:
             raise UsageError(f"{source.name} never ends: give --frames N.")
         result: dict[str, Any] = {"source": source.name}
         if args.verify:
             result["verified"] = _verify(source, args.frames)
-        if arguments is not None:
+        if detects:
             result |= _replay(args, arguments, source, tables)
     print(json.dumps(result) if args.json else summary(result))
     return 0
@@ -107,11 +115,21 @@ def summary(result: dict[str, Any]) -> str:
     for name, shape in result.get("shapes", {}).items():
         lines.append(f"{name:<15} ok in {shape['ok']}, {shape['valid_fraction']:.1%} of their points valid")
         lines += [f"  {count:>6} x      {reason}" for reason, count in shape["reasons"].items()]
+    if "policy" in result:
+        lines.append(_differs(**result["policy"]))
     lines += [f"{count:>8} x      {warning}" for warning, count in result.get("warnings", {}).items()]
     if "ms" in result:
         lines.append(f"ms per frame    {result['ms']['median']:.2f} median, {result['ms']['p95']:.2f} 95th percentile")
     lines += [f"wrote           {path}" for path in result.get("files", ())]
     return "\n".join(lines)
+
+
+def _differs(actions: int, compared: int, mean: float | None, largest: float | None) -> str:
+    """Return the line about the actions of the policy."""
+    line = f"policy          {actions} actions"
+    if compared:
+        line += f"; mean difference from {compared} recorded ones {mean:.2g} of their range, largest {largest:.2g}"
+    return line
 
 
 def _tables(args: Arguments) -> list[Path]:
@@ -151,11 +169,20 @@ def _replay(args: Arguments, arguments: dict[str, Any], source: RGBDSource, tabl
     import numpy as np
     from tqdm import tqdm
 
-    from shape_obs.recording import OverlayVideo, ShapeLog, replay
+    from shape_obs.recording import OverlayVideo, ShapeLog
+    from shape_obs.recording import replay as detect
 
-    detector = make_detector(arguments, source)
+    policy, found = None, {}
+    if args.policy is None:
+        detector = make_detector(arguments, source)
+        detections = detect(source, detector, args.frames)
+    else:
+        from shape_obs.policy.frames import play
+
+        policy, env, arguments = _acting(args, arguments, source)
+        detector, detections = env.get_wrapper_attr("detector"), play(policy, env)
     log = ShapeLog(detector, arguments, source)
-    times = []
+    times, actions = [], []
     with ExitStack() as stack:
         video = None if args.video is None else stack.enter_context(OverlayVideo(args.video))
         stream = None
@@ -164,16 +191,19 @@ def _replay(args: Arguments, arguments: dict[str, Any], source: RGBDSource, tabl
             stream = stack.enter_context(open_rerun(args.rerun, base, "shape-obs replay"))
         shown = None if stream is None else FrameLog(stream, detector, arguments)
         length = args.frames or (len(source) if hasattr(source, "__len__") else None)  # pyright: ignore[reportArgumentType]
-        for moment, detection in tqdm(
-            replay(source, detector, args.frames), total=length, unit="frame", leave=False, desc="replaying"
-        ):
+        for moment, detection, *action in tqdm(detections, total=length, unit="frame", leave=False, desc="replaying"):
             log.add(moment, detection)
+            actions += action
             times.append(detection.timings["total"])
             if video is not None:
                 video.add(moment, detection)
             if shown is not None:
                 shown.add(moment, detection)
     table = log.table()
+    if policy is not None:
+        acted = np.array(actions, np.float64).reshape(len(table), -1)
+        table = replace(table, columns={**table.columns, "policy": acted})
+        found["policy"] = _compared(policy, table)
     for path in tables:
         table.save(path)
     files = [str(path) for path in (*tables, args.video, stream and stream.path) if path is not None]
@@ -181,7 +211,37 @@ def _replay(args: Arguments, arguments: dict[str, Any], source: RGBDSource, tabl
     ms = {"median": round(float(np.median(times)), 3), "p95": round(float(np.percentile(times, 95)), 3)}
     hashes = {name: log.metadata[name] for name in ("schema_hash", "config_hash")}
     said = _counted(table["warning"])
-    return {"frames": len(table), "shapes": shapes, "warnings": said, "ms": ms, "files": files, **hashes}
+    return {"frames": len(table), "shapes": shapes, **found, "warnings": said, "ms": ms, "files": files, **hashes}
+
+
+def _acting(args: Arguments, config: dict[str, Any], source: RGBDSource) -> tuple[Any, Any, dict[str, Any]]:
+    """Return a policy, the environment of frames in which it acts, and the configuration of its detector."""
+    from shape_obs.policy import load_policy
+    from shape_obs.policy.contract import describe
+    from shape_obs.policy.frames import RecordedFrames
+    from shape_obs.wrappers import Target
+
+    assert args.policy is not None
+    policy = load_policy(args.policy)
+    if policy.spec.needs_goal and args.goal is None and not policy.spec.has_goal:
+        raise UsageError("the policy needs a goal: give --goal FILE, as `shape-obs goal` writes it.")
+    goal = None if args.goal is None else Target.load(str(args.goal))
+    scene = _lenient({**scene_of(policy.spec.config or {}), **scene_of(config)}, "hold")
+    env = policy.wrap(RecordedFrames(source, policy.spec, args.frames), goal, scene)
+    policy.check_env(env, same_rate=False)
+    return policy, env, dict(describe(env).config or {})
+
+
+def _compared(policy: Any, table: Any) -> dict[str, Any]:
+    """Compare the actions of a policy with those that were recorded."""
+    from shape_obs.policy.policy import action_difference
+
+    recorded = table.columns.get("action", table["policy"][:0])
+    pairs = zip(table["policy"], recorded, strict=False)
+    differences = [action_difference(policy.spec.action, one, other) for one, other in pairs if other.size == one.size]
+    known = [value for value in differences if value == value]  # NaN where no action was recorded
+    mean, largest = (round(sum(known) / len(known), 6), round(max(known), 6)) if known else (None, None)
+    return {"actions": len(table), "compared": len(known), "mean": mean, "largest": largest}
 
 
 def make_detector(arguments: dict[str, Any], source: RGBDSource) -> ShapeDetector:
@@ -205,9 +265,9 @@ def _rerun_base(args: Arguments, tables: list[Path]) -> Path:
     return (*outputs, working_file(args.recording))[0]
 
 
-def _lenient(arguments: dict[str, Any]) -> dict[str, Any]:
+def _lenient(arguments: dict[str, Any], instead: str = "nan") -> dict[str, Any]:
     """Replace ``on_missing="raise"``: a replay continues after a lost shape, whose row is not ok."""
-    return {**arguments, "on_missing": "nan"} if arguments.get("on_missing") == "raise" else arguments
+    return {**arguments, "on_missing": instead} if arguments.get("on_missing") == "raise" else arguments
 
 
 def _summary_of(table: Any, name: str) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from shape_obs.utils.files import make_folder, write_text, write_whole
 Column = npt.NDArray[Any]
 
 #: Columns of vectors, whose width differs between robots; their names are in the metadata under ``robot``.
-VECTORS: Final = ("action", "state")
+VECTORS: Final = ("action", "state", "policy")
 #: Columns that tables of recordings without a robot do not have.
 STEP_COLUMNS: Final = ("step", "action", "reward", "terminated", "truncated", "state")
 
@@ -110,7 +110,7 @@ def absent(columns: Mapping[str, Column]) -> dict[str, npt.NDArray[np.bool_]]:
     if "step" not in columns:
         return {}
     unknown = np.isnan(columns["reward"])
-    empty = {name: np.asarray(np.isnan(columns[name]).all(axis=1)) for name in VECTORS}
+    empty = {name: np.asarray(np.isnan(columns[name]).all(axis=1)) for name in VECTORS if name in columns}
     return {"step": columns["step"] < 0, **dict.fromkeys(("reward", "terminated", "truncated"), unknown), **empty}
 
 
@@ -137,7 +137,8 @@ class ShapeTable:
             ``warning``, ``track_id``, ``new``, ``length`` and ``sigma``. If the recording has a robot or environment:
             ``step`` ``(F,)`` int, the number of steps since the episode began; of the step that followed the frame
             ``action`` ``(F, A)``, ``reward`` ``(F,)``, ``terminated`` and ``truncated`` ``(F,)`` bool, NaN and False
-            where none did; and ``state`` ``(F, S)`` of the robot.
+            where none did; and ``state`` ``(F, S)`` of the robot. Of a replay with a trained policy: ``policy``
+            ``(F, A)``, its action for the frame.
         metadata: JSON values that describe how the table was made.
     """
 

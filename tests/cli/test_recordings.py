@@ -150,7 +150,7 @@ def test_an_interrupted_recording_is_replayed_with_a_word_about_it(place, record
         ("replay junk.mp4 --config pixels.yaml", 1, "junk.mp4: not a video that OpenCV can decode"),
         ("replay damaged --config pixels.yaml", 1, "1.png: not an image that can be read; it may be damaged"),
         ("replay rope.avi --config space.yaml", 1, "rope.avi has no depth, but the config needs it: feature"),
-        ("replay photos", 2, "give --config FILE to detect with, or --verify"),
+        ("replay photos", 2, "give --config FILE or --policy FILE to detect with"),
         ("replay CartPole-v1 --config pixels.yaml", 1, "CartPole-v1: the observation must be an RGB image"),
         ("replay ShapeObs/Cable-v0 --config space.yaml", 2, "ShapeObs/Cable-v0 never ends: give --frames N"),
         ("record --source rope.avi -o new --depth yes", 1, "rope.avi has no depth to record"),

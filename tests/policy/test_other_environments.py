@@ -17,8 +17,9 @@ from installed import needs
 from policies import POINTS, WORKSPACE, cable, saved, trained_cable, untrained
 
 import shape_obs_envs  # noqa: F401
-from shape_obs import ShapeGoal, ShapeObservation
+from shape_obs import ShapeGoal, ShapeObservation, Target
 from shape_obs.policy import PolicyError, deploy_command, save_policy
+from shape_obs.recording import ShapeTable
 from shape_obs.robot import ActionSpec
 from shape_obs.training import PointReward, TrueState
 from shape_obs_envs.robots import NullRobot
@@ -231,6 +232,27 @@ def test_a_policy_plays_episodes_with_goals_of_the_robot(run, path, tmp_path):
     header = json.loads((tmp_path / "runs" / "episode-001" / "run.json").read_text())
     assert header["options"]["rate"] == "20.0"
     assert header["options"]["settle"] == "0.05"
+
+
+@with_d455
+def test_a_replay_of_a_recorded_run_gives_its_actions(run, path, tmp_path):
+    goal, table = tmp_path / "goal.yaml", tmp_path / "shapes.npz"
+    Target(tuple((0.3 + 0.01 * i, 0.0, 0.01) for i in range(20))).save(goal)
+    options = ["--goal", goal, "--steps", "5", "--record", tmp_path / "run"]
+    code, _, err = run("deploy", path, *CELL, *options, *PATIENT)
+    assert code == 0, err
+    replay = ["replay", tmp_path / "run", "--policy", path]
+    code, out, err = run(*replay, "--goal", goal, "--npz", table, "--json")
+    assert code == 0, err
+    report = json.loads(out)["policy"]
+    assert (report["actions"], report["compared"]) == (6, 5)
+    assert report["largest"] < 1e-3
+    columns = ShapeTable.load(table)
+    np.testing.assert_allclose(columns["policy"][0], columns["action"][0], atol=1e-6)
+    assert not np.isfinite(columns["action"][5]).any()
+    code, _, err = run(*replay)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "the policy needs a goal: give --goal FILE, as `shape-obs goal` writes it." in err
 
 
 @pytest.mark.parametrize(
