@@ -82,7 +82,8 @@ def work(task: Task) -> Outcome:
         with one_thread():
             trained = run(task.study, task.arm, task.seed, _progress_writer(task))
             try:
-                files = {SCORES: scores_csv(trained.rows).encode(), **_policy(trained, task)}
+                files = {SCORES: scores_csv(trained.rows).encode()}
+                problem = _add_policy(files, trained, task)
             finally:
                 trained.env.close()
     except Exception:  # noqa: BLE001  one failing run must not end the others; its traceback is kept
@@ -92,6 +93,7 @@ def work(task: Task) -> Outcome:
         "wall_s": round(time.perf_counter() - begin, 1),
         "machine": f"{platform.machine()} {platform.system()}",
         "versions": versions(),
+        **problem,
     }
     return Outcome(task, files, about)
 
@@ -117,14 +119,18 @@ def _progress_writer(task: Task) -> Callable[[int], None]:
     return write
 
 
-def _policy(trained: Trained, task: Task) -> dict[str, bytes]:
-    """Return the file of the trained policy."""
-    from shape_obs.policy import save_policy
+def _add_policy(files: dict[str, bytes], trained: Trained, task: Task) -> dict[str, str]:
+    """Add the file of the trained policy; return the reason if there can be none."""
+    from shape_obs.policy import PolicyError, save_policy
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, POLICY)
-        save_policy(trained.model, trained.env, path, summary=_summary(trained, task))
-        return {POLICY: path.read_bytes()}
+        try:
+            save_policy(trained.model, trained.env, path, summary=_summary(trained, task))
+        except PolicyError as error:  # hours of training must not be lost for it
+            return {"no_policy": str(error)}
+        files[POLICY] = path.read_bytes()
+    return {}
 
 
 def _summary(trained: Trained, task: Task) -> dict[str, Any]:

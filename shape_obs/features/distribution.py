@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -332,13 +333,26 @@ class PointDistribution:
         return cls(mean, components, variance, float(noise), layout, *about)
 
 
+#: Contents of fitted files without a file, by name.
+_HELD: Final = dict[str, bytes]()
+
+
+def hold(content: bytes) -> str:
+    """Keep the content of a fitted file in memory; return the name, ``"sha256:..."``, by which features read it."""
+    name = f"sha256:{hashlib.sha256(content).hexdigest()}"
+    _HELD[name] = content
+    return name
+
+
 def read_bytes(path: Path) -> bytes:
-    """Return the content of a fitted file.
+    """Return the content of a fitted file, which may be in memory.
 
     Raises:
         FileNotFoundError: There is no such file.
         ValueError: The path is a folder.
     """
+    if (held := _HELD.get(str(path))) is not None:
+        return held
     try:
         return path.read_bytes()
     except FileNotFoundError as error:

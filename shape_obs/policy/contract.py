@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Final
 
 import gymnasium as gym
@@ -11,7 +12,8 @@ import numpy as np
 
 from shape_obs.config.config_file import detector_arguments, hashed_values, schema_hash
 from shape_obs.config.detector_config import ALGORITHM, DetectorConfig
-from shape_obs.features import Feature, read_features
+from shape_obs.features import Feature, PrincipalComponents, read_features
+from shape_obs.features.distribution import hold, read_bytes
 from shape_obs.image.mask_function import MaskFunction
 from shape_obs.robot import ActionSpec
 from shape_obs.spec import Spec, to_plain, without_plugins
@@ -123,6 +125,12 @@ class Contract(Spec):
         return read_features((self.config or {}).get("features", ()))
 
     @property
+    def fitted(self) -> list[str]:
+        """Names of the contents of fitted files that features read."""
+        places = _leaves([self.config, *self.wrappers])
+        return sorted({str(value) for place, value in places if place.endswith(".file") and value is not None})
+
+    @property
     def needs_goal(self) -> bool:
         """Whether the policy reads a goal."""
         return "desired_goal" in self.inputs or any(wrapper["name"] == "ShapeGoal" for wrapper in self.wrappers)
@@ -143,7 +151,7 @@ class Contract(Spec):
         for place, value in values:
             name = place.rpartition(".")[2].partition("[")[0]
             most = _MOST.get(name, _MOST_NUMBER)
-            if name == "file" and value is not None:
+            if name == "file" and value is not None and not str(value).startswith("sha256:"):
                 raise PolicyError(f"config: a feature reads the file {value!r:.100}, which a policy cannot hold.")
             if isinstance(value, (int, float)) and not abs(value) <= most:
                 raise PolicyError(f"config: {name} is {value!r:.40}, expected a finite number up to {most:g}.")
@@ -163,7 +171,8 @@ def describe(env: gym.Env[Any, Any]) -> Contract:
     own, unknown, inner = [], [], env  # wrappers, the outermost first
     while isinstance(inner, gym.Wrapper) and not isinstance(inner, ShapeObservation):
         if type(inner).__name__ in _OWN:
-            own.insert(0, {"name": type(inner).__name__, "kwargs": to_plain(getattr(inner, "_saved_kwargs", {}))})
+            given = _with_contents(to_plain(getattr(inner, "_saved_kwargs", {})))
+            own.insert(0, {"name": type(inner).__name__, "kwargs": given})
         elif type(inner).__name__ not in TRANSPARENT and not isinstance(inner, gym.ActionWrapper):
             unknown.append(type(inner).__name__)
         inner = inner.env
@@ -172,7 +181,10 @@ def describe(env: gym.Env[Any, Any]) -> Contract:
     if isinstance(inner, ShapeObservation):
         view, detector = inner.contexts[0], inner.detector.config
         config = replace(detector, shapes=tuple(map(_without_function, detector.shapes)))
-        config = {**_without_function(config).to_dict(), "features": [one.to_dict() for one in inner.features]}
+        config = {
+            **_without_function(config).to_dict(),
+            "features": _with_contents([one.to_dict() for one in inner.features]),
+        }
         if view.workspace is not None:
             config["workspace"] = to_recorded(view.workspace)
         seen = {"config": config, "schema": schema_hash(config), "image": (view.width, view.height)}
@@ -194,6 +206,17 @@ def describe(env: gym.Env[Any, Any]) -> Contract:
         obstacle=obstacle,
         **seen,
     )
+
+
+def _with_contents(values: Any) -> Any:
+    """Return plain values with the contents of the files to which features were fitted in place of their paths."""
+    if isinstance(values, list):
+        return [_with_contents(each) for each in values]
+    if not isinstance(values, Mapping):
+        return values
+    if values.get("kind") == PrincipalComponents.kind and values.get("file"):
+        return {**values, "file": hold(read_bytes(Path(values["file"])))}
+    return {name: _with_contents(each) for name, each in values.items()}
 
 
 def _without_function(config: Any) -> Any:

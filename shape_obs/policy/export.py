@@ -18,9 +18,10 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.features.distribution import read_bytes
 from shape_obs.policy.contract import ARRAY, Contract, describe
 from shape_obs.policy.graph_check import check_graph
-from shape_obs.policy.policy import CONTRACT, MASK, NETWORK, REPLAY, TOLERANCE, policy_from, refusing
+from shape_obs.policy.policy import CONTRACT, FITTED, MASK, NETWORK, REPLAY, TOLERANCE, policy_from, refusing
 from shape_obs.robot import ActionSpec
 from shape_obs.spec import to_plain
 from shape_obs.utils.documents import dump_yaml
@@ -138,7 +139,8 @@ def save_policy_onnx(
 def _write(path: Path, network: bytes, spec: Contract, replay: Mapping[str, npt.NDArray[Any]]) -> None:
     """Check a policy and write it as a zip file."""
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **replay)  # type: ignore[arg-type]
+    fitted = {f"{FITTED}{i}": np.frombuffer(read_bytes(Path(name)), np.uint8) for i, name in enumerate(spec.fitted)}
+    np.savez_compressed(buffer, allow_pickle=False, **replay, **fitted)  # type: ignore[arg-type]
     members = {NETWORK: network, REPLAY: buffer.getvalue()}
     hashes = {name: hashlib.sha256(data).hexdigest() for name, data in members.items()}
     members[CONTRACT] = dump_yaml({**spec.to_dict(), "sha256": hashes}).encode()

@@ -20,6 +20,7 @@ from shape_obs.config.config_file import SCENE_FIELDS, SECTIONS
 from shape_obs.config.detector_config import ALGORITHM
 from shape_obs.configurations.base import Configuration
 from shape_obs.features import Points3D
+from shape_obs.features.distribution import hold
 from shape_obs.policy import graph_check
 from shape_obs.policy.contract import Contract, PolicyError, Tensor, describe, differences
 from shape_obs.robot import ActionSpec
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 Array = npt.NDArray[Any]
 NETWORK, CONTRACT, REPLAY = "policy.onnx", "policy.yaml", "replay.npz"
 MASK: Final = "action_mask"
+#: Names of the arrays of the replay with the contents of fitted files begin so.
+FITTED: Final = "fitted/"
 #: Largest size of each file in bytes. PyYAML reads about 60 kB a second.
 _MOST_BYTES: Final = {NETWORK: graph_check.MOST_BYTES, CONTRACT: 64 << 10, REPLAY: 32 << 20}
 _LEAST_REPLAYED, _MOST_REPLAYED = 32, 1024
@@ -122,12 +125,16 @@ def policy_from(members: Mapping[str, bytes], tolerance: float = TOLERANCE) -> P
     with refusing():
         _check_sizes([(name, len(data)) for name, data in members.items()])
         spec = Contract.from_dict(parse_yaml(members[CONTRACT], CONTRACT))
-        spec.check_config()
         for name in (NETWORK, REPLAY):
             if spec.sha256.get(name) != hashlib.sha256(members[name]).hexdigest():
                 raise PolicyError(f"{name} was changed, or is damaged: its content is not that of {CONTRACT}.")
+        replay = decode_npz(members[REPLAY], REPLAY, most_bytes=_MOST_BYTES[REPLAY])
+        for name, content in replay.items():
+            if name.startswith(FITTED):
+                hold(content.tobytes())
+        spec.check_config()
         policy = Policy(spec, members[NETWORK])
-        _check_replay(policy, decode_npz(members[REPLAY], REPLAY, most_bytes=_MOST_BYTES[REPLAY]), tolerance)
+        _check_replay(policy, replay, tolerance)
         return policy
 
 

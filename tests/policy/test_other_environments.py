@@ -18,7 +18,9 @@ from policies import POINTS, WORKSPACE, cable, saved, trained_cable, untrained
 
 import shape_obs_envs  # noqa: F401
 from shape_obs import ShapeGoal, ShapeObservation, Target
-from shape_obs.policy import PolicyError, deploy_command, save_policy
+from shape_obs.features import PointDistribution, distribution
+from shape_obs.geometry.topology import Chain
+from shape_obs.policy import PolicyError, deploy_command, load_policy, save_policy
 from shape_obs.recording import ShapeTable
 from shape_obs.robot import ActionSpec
 from shape_obs.training import PointReward, TrueState
@@ -137,6 +139,20 @@ def test_a_segmentation_that_is_a_function_is_given_again_at_each_site(tmp_path)
     assert policy.spec.config["segmentation"] is None
     cell = policy.wrap(TestMismatch().cell(policy, {}, 20), scene=BLUE)
     policy.check_env(cell)
+
+
+def test_files_to_which_features_were_fitted_come_along(tmp_path, monkeypatch):
+    model = PointDistribution.fit(np.random.default_rng(0).normal(size=(30, 20, 3)), layout=Chain(20), frame="base")
+    model.save(tmp_path / "rope.npz")
+    env = cable(features=[{"kind": "pca", "file": str(tmp_path / "rope.npz")}, POINTS])
+    save_policy(untrained(env), env, tmp_path / "a.policy")
+    monkeypatch.setattr(distribution, "_HELD", {})  # as in another process, on another machine
+    (tmp_path / "rope.npz").unlink()
+    policy = load_policy(tmp_path / "a.policy")
+    cell = policy.wrap(TestMismatch().cell(policy, {}, 20), scene=BLUE)
+    policy.check_env(cell)
+    feature = cell.get_wrapper_attr("features")[0]
+    np.testing.assert_array_equal(feature.model.components, model.components)
 
 
 # ---- goals of several slots
