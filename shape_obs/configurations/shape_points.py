@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import gaussian_filter1d
 
 from shape_obs.camera import Intrinsics, viewing_rays
 from shape_obs.configurations.base import Configuration, Points
@@ -196,6 +195,8 @@ def _nearest(points: Array, others: Array) -> npt.NDArray[np.intp]:
 
 def _inwards(curve: FittedCurve) -> Array:
     """Return ``(P, 3)`` unit vectors away from the origin, at right angles to the curve: towards a rope's axis."""
+    from scipy.ndimage import gaussian_filter1d  # takes 0.2 s to import
+
     points, mode = curve.points, "wrap" if curve.closed else "nearest"
     tangent = np.stack([gaussian_filter1d(points[:, d], _SMOOTH, order=1, mode=mode) for d in range(3)], axis=1)
     square = np.maximum(np.sum(tangent**2, axis=1, keepdims=True), 1e-18)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import distance_transform_edt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedForm
@@ -92,6 +91,8 @@ class FittedLattice(FittedForm):
         lattice = values.reshape(self.rows, -1)
         if not known.all():
             missing = ~known.reshape(lattice.shape)
+            from scipy.ndimage import distance_transform_edt  # takes 0.2 s to import
+
             nearest = distance_transform_edt(missing, return_distances=False, return_indices=True)
             lattice = lattice[tuple(np.asarray(nearest))]
         return straightened(straightened(lattice, 3).T, 3).T.ravel()
