@@ -17,7 +17,8 @@ from gymnasium import spaces
 from installed import needs
 from policies import FORCE, GOALS, IMAGE, VECTOR, Sampled, learner, saved
 
-from shape_obs.policy import PolicyError, load_policy, save_policy_onnx
+import shape_obs
+from shape_obs.policy import PolicyError, load_policy, save_policy, save_policy_onnx
 from shape_obs.policy.policy import action_difference
 
 pytestmark = needs("stable_baselines3", "sb3_contrib", "onnxscript", "onnxruntime")
@@ -75,6 +76,21 @@ def test_algorithms_act_as_the_learner_after_training(algorithm, space, steps, t
 NORMALIZED, STACKED = ("VecNormalize", {}), ("VecFrameStack", {"n_stack": 2})
 ONE_NORMALIZED = ("VecNormalize", {"norm_obs_keys": ["observation"]})
 ZERO = {"padding_type": "zero"}
+IMAGE_AND_GOAL = spaces.Dict({**GOALS.spaces, "observation": IMAGE})
+
+
+def goals() -> dict[str, Any]:
+    from shape_obs.training import GoalDifference
+
+    return {"policy_kwargs": {"features_extractor_class": GoalDifference}}
+
+
+def pixels() -> dict[str, Any]:
+    from shape_obs.training import ImageAndGoal, PixelPolicy
+
+    return {"policy": PixelPolicy, "policy_kwargs": {"features_extractor_class": ImageAndGoal}}
+
+
 MODELS: dict[str, Any] = {
     "VecNormalize": lambda: learner(vector(Sampled, NORMALIZED)),
     "NormalizeObservation": lambda: learner(W.NormalizeObservation(Sampled())),
@@ -90,6 +106,8 @@ MODELS: dict[str, Any] = {
     "images stacked": lambda: learner(vector(lambda: Sampled(IMAGE), STACKED), policy="Cnn"),
     "image and numbers": lambda: learner(Sampled(spaces.Dict({"i/m": IMAGE, "n": VECTOR})), policy="MultiInput"),
     "number": lambda: learner(Sampled(spaces.Discrete(7))),
+    "GoalDifference": lambda: learner(vector(lambda: Sampled(GOALS), NORMALIZED), "SAC", "MultiInput", **goals()),
+    "PixelPolicy": lambda: learner(Sampled(IMAGE_AND_GOAL), "SAC", **pixels()),
     "gSDE": lambda: learner(Sampled(), "SAC", use_sde=True),
     "gSDE squashed": lambda: learner(Sampled(), "PPO", use_sde=True, policy_kwargs={"squash_output": True}),
 }
@@ -157,8 +175,6 @@ class Noisy(gym.ActionWrapper[Any, Any, Any]):
 def test_what_a_policy_cannot_hold_is_refused_by_name(make, message, tmp_path, monkeypatch):
     from stable_baselines3.common import vec_env
 
-    from shape_obs.policy import save_policy
-
     monkeypatch.setattr(vec_env.VecExtractDictObs, "__init__", lambda self, venv, key: setattr(self, "venv", venv))
     with pytest.raises(PolicyError, match=message):
         save_policy(learner(Sampled()), make(), tmp_path / "a.policy")
@@ -166,8 +182,6 @@ def test_what_a_policy_cannot_hold_is_refused_by_name(make, message, tmp_path, m
 
 
 def test_a_policy_that_computes_something_else_is_found_out(tmp_path):
-    from shape_obs.policy import save_policy
-
     model = learner(Sampled())
     own = model.policy.predict
     model.policy.predict = lambda *args, **options: (own(*args, **options)[0] + 0.5, None)
@@ -201,6 +215,12 @@ def test_networks_of_other_learners(tmp_path):
         with pytest.raises(PolicyError, match=message):
             save_policy_onnx(tmp_path / "b.policy", tmp_path / "own.onnx", env, *changed)
     assert not (tmp_path / "b.policy").exists()
+
+
+@pytest.mark.parametrize("verb", ["save", "load"])
+def test_the_names_of_before_say_what_to_call(verb):
+    with pytest.raises(ImportError, match=f"was removed: call shape_obs.{verb}_policy"):
+        getattr(shape_obs, f"{verb}_bundle")
 
 
 #: Save a small policy, and stop as if the process were killed when the second file is written.

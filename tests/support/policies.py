@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.spaces.utils import flatdim
 
-from shape_obs.policy.policy import load_policy
+from shape_obs.policy import load_policy, save_policy
 
 VECTOR = spaces.Box(-3, 3, (5,), np.float64)
 IMAGE = spaces.Box(0, 255, (36, 36, 3), np.uint8)
@@ -41,8 +41,8 @@ class Sampled(gym.Env[Any, Any]):
         return np.ones(flatdim(self.action_space), bool)
 
 
-def learner(env: Any, algorithm: str = "PPO", policy: str = "Mlp", **options: Any) -> Any:
-    """Return an untrained model with a small network."""
+def learner(env: Any, algorithm: str = "PPO", policy: Any = "Mlp", **options: Any) -> Any:
+    """Return an untrained model with a small network, of a class of policies or of one of the learner's by its name."""
     import sb3_contrib
     import stable_baselines3 as sb3
     import torch
@@ -54,13 +54,12 @@ def learner(env: Any, algorithm: str = "PPO", policy: str = "Mlp", **options: An
     elif algorithm != "ARS":
         options = {"buffer_size": 500, "learning_starts": 50, **options}
     layers = {"net_arch": [16], **options.pop("policy_kwargs", {})}
-    return kind(f"{policy}Policy", env, seed=0, device="cpu", policy_kwargs=layers, **options)
+    policy = f"{policy}Policy" if isinstance(policy, str) else policy
+    return kind(policy, env, seed=0, device="cpu", policy_kwargs=layers, **options)
 
 
 def saved(model: Any, env: Any, path: Path, **options: Any) -> Any:
     """Save a policy, and load it again."""
-    from shape_obs.policy import save_policy
-
     save_policy(model, env, path, **options)
     return load_policy(path)
 
