@@ -101,11 +101,11 @@ def refusing(where: str = "") -> Iterator[None]:
 def _read(path: Path) -> dict[str, bytes]:
     """Return the content of the three files of a policy, from a folder or a zip file."""
     if path.is_dir():
-        files = [file for file in path.iterdir() if file.name in _MOST_BYTES]
+        files = [file for file in path.iterdir() if file.name in _MOST_BYTES and file.is_file()]
         _check_sizes([(file.name, file.stat().st_size) for file in files])
         return {file.name: file.read_bytes() for file in files}
-    if path.stat().st_size > sum(_MOST_BYTES.values()):
-        raise PolicyError(f"expected a file of at most {sum(_MOST_BYTES.values())} bytes.")
+    if not path.is_file() or path.stat().st_size > sum(_MOST_BYTES.values()):
+        raise PolicyError(f"expected a folder, or a file of at most {sum(_MOST_BYTES.values())} bytes.")
     with path.open("rb") as file, open_zip(file) as archive:
         _check_sizes([(info.filename, info.file_size) for info in archive.infolist()])
         return {name: archive.read(name) for name in _MOST_BYTES}

@@ -183,9 +183,9 @@ def open_zip(file: BinaryIO) -> zipfile.ZipFile:
         zipfile.BadZipFile: The file is damaged, has a comment, more than some 10,000 entries or 4 GiB, or another kind
             of compression than NumPy's.
     """
-    tail = _ZIP64_BYTES + _ZIP_END.size
-    file.seek(-min(tail, file.seek(0, io.SEEK_END)), io.SEEK_END)
-    end = file.read()
+    tail = min(_ZIP64_BYTES + _ZIP_END.size, file.seek(0, io.SEEK_END))
+    file.seek(-tail, io.SEEK_END)
+    end = file.read(tail)
     if len(end) < _ZIP_END.size:
         raise zipfile.BadZipFile("it is too short for a ZIP file")
     mark, count, size, comment = _ZIP_END.unpack(end[-_ZIP_END.size :])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import os
 import pickle
 import random
 import resource
@@ -224,6 +225,19 @@ def test_a_folder_is_read_too_and_a_bomb_is_not_unpacked(tmp_path):
         load_policy(tmp_path)
     with pytest.raises(FileNotFoundError, match=r"no such policy"):
         load_policy(tmp_path / "b.policy")
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="not a system with device files")
+def test_only_regular_files_are_read(tmp_path):
+    for name, data in policy().items():
+        (tmp_path / name).write_bytes(data)
+    for make in (lambda path: path.symlink_to("/dev/zero"), os.mkfifo):
+        (tmp_path / "policy.onnx").unlink()
+        make(tmp_path / "policy.onnx")
+        with refused("expected policy.onnx, policy.yaml, replay.npz, got 'policy.yaml, replay.npz'"):
+            load_policy(tmp_path)
+        with refused("expected a folder, or a file of at most"):
+            load_policy(tmp_path / "policy.onnx")
 
 
 def crowded(comment: bytes = b"", zip64: bool = False) -> bytes:
