@@ -12,7 +12,7 @@ from onnx import AttributeProto, TensorProto
 from shape_obs.policy.contract import PolicyError
 
 #: Bytes of the file, of which some six copies exist for a moment, and of all values that are computed in a step.
-MOST_BYTES: Final = 40 << 20
+MOST_BYTES: Final = 36 << 20
 _MOST_COMPUTED: Final = 64 << 20
 #: Work of a step in multiplications of a matrix product: 25 ms on one core.
 _MOST_WORK: Final = 5e8
