@@ -10,6 +10,8 @@ PACKAGES = [
     "scikit-learn",
     "opencv-python-headless",
     "mujoco",
+    "onnx",
+    "onnxruntime",
     "stable-baselines3",
     "torch",
 ]
