@@ -49,8 +49,10 @@ class RecordedFrames(gym.Env[Any, Any]):
         recorded = getattr(source, "robot_info", None)
         self.action_spec = (recorded and recorded.action_spec) or spec.action_spec
         self.action_space = gym.spaces.Box(-1.0, 1.0, spec.action.shape)
-        spaces = {key: gym.spaces.Box(*_range(value), value.shape, value.dtype) for key, value in self._seen().items()}
-        self.observation_space = gym.spaces.Dict(spaces)
+        seen = self._seen().items()
+        self.observation_space = gym.spaces.Dict(
+            [(name, gym.spaces.Box(*_range(value), value.shape, value.dtype)) for name, value in seen]
+        )
 
     @property
     def camera_model(self) -> CameraModel | None:
@@ -77,8 +79,9 @@ class RecordedFrames(gym.Env[Any, Any]):
 
     def _seen(self) -> dict[str, Any]:
         frame, state = self.moment.frame, self.moment.state
-        position = None if state is None or self.action_spec is None else np.float32(state[: len(self.action_spec)])
-        seen = {"rgb": frame.rgb, "depth": frame.depth, "robot": position}
+        seen = {"rgb": frame.rgb, "depth": frame.depth}
+        if state is not None and self.action_spec is not None:
+            seen["robot"] = np.array(state[: len(self.action_spec)], np.float32)
         return {name: value for name, value in seen.items() if value is not None}
 
 
