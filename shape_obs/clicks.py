@@ -344,10 +344,10 @@ class ClickNet(FollowingRule, kind="click_net"):
         before = cv2.resize(expected.mask[window.slices], photo.rgb.shape[1::-1], interpolation=cv2.INTER_AREA)
         on, off, known = self._clicks(photo, places)
         found = self._seen(rgb, photo.probability(on, off, np.asarray(before, np.float32), passes=1))
-        place = cv2.dilate(expected.mask[window.slices], _AROUND_TRACK) > 0
+        place = None if expected.anywhere else cv2.dilate(expected.mask[window.slices], _AROUND_TRACK) > 0
         if not expected.ropes:
-            return _parts_in(found, place)
-        return _ropes_at(found, rgb, places[known].tolist(), [], None if expected.anywhere else place, _FEWEST)
+            return found if place is None else _parts_in(found, place)
+        return _ropes_at(found, rgb, places[known].tolist(), [], place, _FEWEST)
 
     def _seen(self, rgb: Image, probability: npt.NDArray[np.float32]) -> Mask:
         return probability > HALF if self.colours is None else _fused(probability, rgb, self.colours)
