@@ -25,7 +25,7 @@ from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Expected, FollowingRule, Segmentation, need
 from shape_obs.image.sharing import FOUND, MOST, TRACED, part_of, share
 from shape_obs.initialization.objects import SceneObject
-from shape_obs.initialization.ropes import Gap, find_ropes
+from shape_obs.initialization.ropes import NARROW, Gap, find_ropes
 from shape_obs.spec import SpecError
 
 Image = npt.NDArray[np.uint8]
@@ -50,7 +50,7 @@ _GAP: Final = Gap(15.0, 1.0)  # as wide as what may hide a rope, such as a hand
 _LIKE: Final = 14.0  # distance to the colour of a click, see ``distances_of_colours``: it still looks the same there
 _PIXELS_NEAR: Final = 100_000  # of the surroundings of a track, as the network sees them: it looks at these once
 _FEWEST: Final = 4  # places of a track on the rope that it follows; where another one crosses there are fewer
-_AROUND_TRACK = np.ones((33, 33), np.uint8)
+_MOTION: Final = 16  # pixels by which an object may lie beside the place where it is expected
 _MOST: Final = 0.6  # share of the image
 
 
@@ -154,7 +154,7 @@ def _reduced(rgb: Image, *clicks: Sequence[Pixel]) -> tuple[Image, Sequence[Pixe
 
 
 def _with_colours(rgb: Image, probability: npt.NDArray[np.float32]) -> tuple[Mask, ClickedColours | None]:
-    """Return the mask that a probability and the colours fitted to that mask agree on, and the rule of these colours."""
+    """Return the mask that a probability and the colours fitted to that mask agree on, and the rule of those."""
     seen, rule = probability > HALF, None
     for _ in range(_ROUNDS):
         rule = fit_rule(rgb, seen)
@@ -171,8 +171,9 @@ def _fused(probability: npt.NDArray[np.float32], rgb: Image, colours: ClickedCol
     """
     seen = probability > _CERTAIN
     unsure = (probability > 1 - _CERTAIN) & ~seen
-    p, of_colour = probability[unsure], colours.log_odds(rgb[unsure][None])[0]  # (K,)
-    seen[unsure] = np.log(p / (1 - p)) + _WEIGHT * np.clip(of_colour, -_SURE, _SURE) > 0
+    if unsure.any():
+        p, of_colour = probability[unsure], colours.log_odds(rgb[unsure][None])[0]  # (K,)
+        seen[unsure] = np.log(p / (1 - p)) + _WEIGHT * np.clip(of_colour, -_SURE, _SURE) > 0
     return seen
 
 
@@ -202,21 +203,18 @@ def _at_one_depth(seen: Mask, metres: npt.NDArray[np.float32], picks: Sequence[P
     return seen & alike[parts]
 
 
-def _ropes_at(seen: Mask, rgb: Image, picks: Sequence[Pixel], nots: Sequence[Pixel], place: Mask | None = None, least: int = 1) -> Mask:
+def _ropes_at(
+    seen: Mask, rgb: Image, picks: Sequence[Pixel], nots: Sequence[Pixel], gap: Gap = _GAP, least: int = 1
+) -> Mask:
     """Return the ropes of a mask that have ``least`` of the picks and no not, over all crossings; else all of the mask.
 
     Ropes of one colour look alike to the network; which way each goes is a matter of its curve.
     """
     region = find_region(seen.view(np.uint8), _whole(seen), *_PLAUSIBLE)
     whole = region.mask > 0
-    ropes = find_ropes(region, rgb, _GAP if place is None else Gap(0.0, 0.0))[0] if region.area and region.length > _ROPE * region.width else []
-    if place is None:
-        on, off = (Counter(_nearest(ropes, pixel) for pixel in pixels) for pixels in (picks, nots))
-        clicked = [k for k, count in on.items() if k is not None and count >= least and k not in off]
-    else:
-        size = np.array(place.shape[::-1]) - 1
-        shares = [place[tuple(rope.curve.points.round().astype(int).clip(0, size).T[::-1])].mean() for rope in ropes]
-        clicked = [k for k, share in enumerate(shares) if share > 0.5]
+    ropes = find_ropes(region, rgb, gap)[0] if region.area and region.length > _ROPE * region.width else []
+    on, off = (Counter(_nearest(ropes, pixel) for pixel in pixels) for pixels in (picks, nots))
+    clicked = [k for k, count in on.items() if k is not None and count >= least and k not in off]
     if not clicked or len(ropes) > MOST or len(ropes) == least == 1:
         return whole
     reach = FOUND if least == 1 else TRACED  # what sticks out of a rope that is known is not its own
@@ -226,12 +224,13 @@ def _ropes_at(seen: Mask, rgb: Image, picks: Sequence[Pixel], nots: Sequence[Pix
     return mask
 
 
-def _parts_in(seen: Mask, place: Mask) -> Mask:
-    """Return the connected parts of a mask of which a good share lies in some place; all of it if there is none."""
+def _parts_at(seen: Mask, expected: npt.NDArray[np.uint8]) -> Mask:
+    """Return the connected parts of a mask that mostly lie where it is expected, about; all of them if none does."""
     count, labels = cv2.connectedComponents(seen.view(np.uint8))
-    area, there = (np.bincount(labels[part], minlength=count) for part in (seen, seen & place))
-    kept = there > float(__import__("os").environ.get("SH",".5")) * area
-    return kept[labels] if kept.any() else seen
+    near = cv2.dilate(expected, np.ones((2 * _MOTION + 1,) * 2, np.uint8)) > 0
+    area, there = (np.bincount(np.asarray(labels)[part], minlength=count) for part in (seen, seen & near))
+    mostly = there > area / 2
+    return mostly[labels] if mostly.any() else seen
 
 
 def _nearest(ropes: Sequence[SceneObject], pixel: Pixel) -> int | None:
@@ -344,10 +343,10 @@ class ClickNet(FollowingRule, kind="click_net"):
         before = cv2.resize(expected.mask[window.slices], photo.rgb.shape[1::-1], interpolation=cv2.INTER_AREA)
         on, off, known = self._clicks(photo, places)
         found = self._seen(rgb, photo.probability(on, off, np.asarray(before, np.float32), passes=1))
-        place = None if expected.anywhere else cv2.dilate(expected.mask[window.slices], _AROUND_TRACK) > 0
-        if not expected.ropes:
-            return found if place is None else _parts_in(found, place)
-        return _ropes_at(found, rgb, places[known].tolist(), [], place, _FEWEST)
+        if expected.ropes:
+            gap = _GAP if expected.anywhere else NARROW
+            return _ropes_at(found, rgb, places[known].tolist(), [], gap, _FEWEST)
+        return found if expected.anywhere else _parts_at(found, expected.mask[window.slices])
 
     def _seen(self, rgb: Image, probability: npt.NDArray[np.float32]) -> Mask:
         return probability > HALF if self.colours is None else _fused(probability, rgb, self.colours)
