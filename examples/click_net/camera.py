@@ -29,6 +29,6 @@ def photograph(rng: Random, picture: Array) -> Array:
         picture = picture + cv2.resize(spots, SHAPE[::-1])
     photo = np.clip(picture, 0, 255).astype(np.uint8)
     if rng.random() < 0.5:
-        encoded = cv2.imencode(".jpg", photo, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(30, 95))])[1]
-        photo = np.asarray(cv2.imdecode(encoded, cv2.IMREAD_COLOR))
+        quality = cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(30, 95))
+        return np.asarray(cv2.imdecode(cv2.imencode(".jpg", photo, quality)[1], cv2.IMREAD_COLOR))
     return photo

@@ -80,9 +80,8 @@ def outline(rng: Random) -> Array:
     kind = rng.choice(["cloth", "garment", "disc", "blob"], p=[0.42, 0.33, 0.12, 0.13])
     shape, scale = _round(rng, 0.15 * (kind == "blob")), np.exp(rng.uniform(np.log(35), np.log(120)))
     if kind == "cloth":
-        shape = np.multiply([(-1, -1), (1, -1), (1, 1), (-1, 1)], [1, rng.uniform(0.35, 1)]) + rng.normal(
-            0, 0.06, (4, 2)
-        )
+        corners = np.multiply([(-1, -1), (1, -1), (1, 1), (-1, 1)], [1, rng.uniform(0.35, 1)])
+        shape = corners + rng.normal(0, 0.06, (4, 2))
     elif kind == "garment":
         half = np.multiply(_GARMENTS[rng.integers(len(_GARMENTS))], [rng.uniform(0.8, 1.25), 1])
         shape = np.concatenate([half, half[::-1] * [-1, 1]])

@@ -21,14 +21,13 @@ _PICTURES: Final = "astronaut brick camera chelsea coffee coins grass gravel hub
 
 def ground(rng: Random) -> Array:
     """Draw a ground ``(HEIGHT, WIDTH, 3)``, 0...255: one of a kind, or two that meet at an edge, as of a desk."""
-    kinds = (_photo, _plain, _wood, _clutter)
-    order = rng.choice(len(kinds), 2, p=(0.22, 0.45, 0.16, 0.17))
-    picture = kinds[order[0]](rng)
+    under, over = rng.choice([_photo, _plain, _wood, _clutter], 2, p=(0.22, 0.45, 0.16, 0.17))
+    picture = under(rng)
     if rng.random() < 0.2:
         corners = SIZE * ([[0, 0], [1, 0], [1, 1], [0, 1]] + rng.uniform(-0.45, 0.45, (4, 2)))
         mask = cv2.fillConvexPoly(np.zeros((*SHAPE, 1), np.float32), corners.astype(np.int32), 1, cv2.LINE_AA)
         shadow = cv2.GaussianBlur(mask, (0, 0), rng.uniform(1, 6))[..., None]
-        picture = picture * (1 - max(0, rng.uniform(-0.6, 0.6)) * shadow) * (1 - mask) + kinds[order[1]](rng) * mask
+        picture = picture * (1 - max(0, rng.uniform(-0.6, 0.6)) * shadow) * (1 - mask) + over(rng) * mask
     return np.clip(picture, 0, 255)
 
 

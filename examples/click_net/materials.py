@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import colorsys
 from collections.abc import Callable
+from colorsys import hsv_to_rgb
 
 import numpy as np
 from curves import Array, Random, noise, rotation
@@ -16,8 +16,7 @@ Strand = Callable[[Array, Array, Array], Array]
 
 def from_hsv(rng: Random, saturation: Range, value: Range, hue: Range = (0, 1)) -> Array:
     """Draw a colour ``(3,)``, RGB 0...255."""
-    rgb = colorsys.hsv_to_rgb(rng.uniform(*hue), rng.uniform(*saturation), rng.uniform(*value))
-    return np.array(rgb, np.float32) * 255
+    return 255 * np.array(hsv_to_rgb(rng.uniform(*hue), rng.uniform(*saturation), rng.uniform(*value)), np.float32)
 
 
 def colour(rng: Random) -> Array:

@@ -18,6 +18,7 @@ from torch.utils.data import Dataset
 from shape_obs.image.click_net import Clicks, as_lab, network_input
 
 _POOL, _NEW, _BATCH = 300, 4, 8  # scenes that a batch is drawn from, those of them that are new, and its samples
+_LIKE: Final = {"click": 9.0, "video": 0.0, "colour": 14.0}  # CIE Lab; colours that are closer count as the same
 _NEAR: Final = np.ones((5, 5), np.uint8)  # objects that come closer than 2 pixels touch
 
 
@@ -106,9 +107,9 @@ def draw_sample(rng: Random, scene: Scene, kind: str | None = None) -> Sample | 
     target, own = mask.copy(), lab[scene.top == index + 1].mean(0)
     for other, its_kind in enumerate(scene.kinds):
         part, visible = scene.whole >> other & 1, scene.top == other + 1
-        alike = visible.any() and np.square(lab[visible].mean(0) - own) @ [0.5, 1, 1] < 14.0**2  # CIE Lab
+        alike = visible.any() and np.square(lab[visible].mean(0) - own) @ [0.5, 1, 1] < _LIKE[kind] ** 2
         # In a video the frame before shows which one is meant. Ropes are separated afterwards, by following one.
-        either = kind == "click" and not any(part[y, x] for x, y in off)
+        either = not any(part[y, x] for x, y in off)
         ropes = scene.kinds[index] == its_kind == "rope"
         if alike and kind == "colour":
             target[part > 0] = 1

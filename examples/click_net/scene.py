@@ -20,6 +20,7 @@ from materials import Strand, cloth, colour, from_hsv, strand
 from scipy.ndimage import gaussian_filter1d
 
 Box = tuple[slice, slice]  # rows and columns of the canvas
+Ends = tuple[int, int]  # of a piece of a rope, in drawn pixels along it
 Shadow = tuple[Array, float, float]  # its offset and blur, in drawn pixels, and how dark it is, 0...1
 _FINE: Final = 2  # drawn pixels per pixel of the photo, along x and along y
 _DRAWN: Final = (WIDTH * _FINE, HEIGHT * _FINE)
@@ -88,9 +89,7 @@ class _Canvas:
         self.image[box][mask > 0] = paint[mask > 0]
         self.whole[box][mask > 0], self.top[box][mask > 0] = 1 << label >> 1, label
 
-    def thread(
-        self, label: int, curve: Array, width: float, look: Strand, ends: tuple[int, int], shadow: Shadow
-    ) -> None:
+    def thread(self, label: int, curve: Array, width: float, look: Strand, ends: Ends, shadow: Shadow) -> None:
         """Paint a piece of a rope, or of a stroke that is no object (0), and its shadow, but not on the next pieces."""
         (start, stop), (offset, blur, darkness) = ends, shadow
         fallen = (curve[start : stop + 1 : 3] + offset).round().astype(np.int32)

@@ -3,13 +3,11 @@
     python train.py --minutes 120 --out FOLDER
 
 trains for two hours of processor time, on from the training in ``FOLDER`` if there is one. Every five minutes it is
-validated and written: ``FOLDER/checkpoint.pt``, ``FOLDER/click_net.onnx``. Two cores are used, one to draw scenes.
-Needs ``pip install torch scikit-image onnx``.
+validated, and written as ``checkpoint.pt`` and ``click_net.onnx``. Needs two cores, torch, scikit-image and onnx.
 """
 
 from __future__ import annotations
 
-import os
 import time
 from dataclasses import replace
 from itertools import count, islice
@@ -64,10 +62,8 @@ def validate(network: nn.Module, samples: list[Sample]) -> list[float]:
     return [float(overlaps[group].mean()) for group in (thin | ~thin, thin, ~thin)]
 
 
-def train(
-    minutes: float, out: Path = Path("click_net"), total_minutes: float = 240, seed: int = 0, validation: int = 120
-) -> None:
-    """Train for some ``minutes`` more, of ``total_minutes`` planned for all runs, and write the network."""
+def train(minutes: float, out: Path = Path("click_net"), total: float = 240, seed: int = 0, tests: int = 120) -> None:
+    """Train for some ``minutes`` more, of a ``total`` planned for all runs, and write the network."""
     torch.set_num_threads(1)
     cv2.setNumThreads(1)  # before the process that draws is forked: threads of OpenCV do not survive that
     torch.manual_seed(seed)
@@ -88,7 +84,7 @@ def train(
     seed, done, step = progress["seed"], progress["minutes"], progress["step"]
     print(f"{done:.0f} minutes and {step} steps so far", flush=True)
     drawn = (draw_sample(rng, draw_scene(rng), "click") for rng in (np.random.default_rng([45, 2, k]) for k in count()))
-    tests = list(islice((s for s in drawn if s and len(s.on.places) == 1 and not len(s.off.places)), validation))
+    shown = list(islice((s for s in drawn if s and len(s.on.places) == 1 and not len(s.off.places)), tests))
     ended, saved, losses, start = done + minutes, done, [], done - time.process_time() / 60
     for samples, half in DataLoader(Batches(seed), None, sampler=count(step), num_workers=1, prefetch_factor=8):
         rng = np.random.default_rng([seed, 3, step])
@@ -101,9 +97,8 @@ def train(
         if rng.random() < 0.5:  # upright photos
             seen, target = seen.transpose(2, 3), target.transpose(2, 3)
         # The learning rate rises over 60 steps, and falls in the second half of the time to a thousandth.
-        tail = np.clip(2 * done / total_minutes - 1, 0, 1)
-        rate = 3e-3 * min(1, (step + 1) / 60) * max(1e-3, 0.5 + 0.5 * np.cos(np.pi * tail))
-        optimiser.param_groups[0]["lr"] = float(rate)
+        falling = 0.5 - 0.5 * np.cos(np.pi * np.clip(2 * done / total, 1, 2))
+        optimiser.param_groups[0]["lr"] = 3e-3 * min(1, (step + 1) / 60) * max(1e-3, float(falling))
         loss = loss_of(logits_of(network.train(), seen), target)
         optimiser.zero_grad()
         loss.backward()
@@ -114,13 +109,13 @@ def train(
         step, done = step + 1, start + time.process_time() / 60
         if done < min(saved + 5, ended):
             continue
-        progress["curve"].append([done, step, *validate(average, tests)])
+        progress["curve"].append([done, step, *validate(average, shown)])
         report = "{:.0f} min, {} steps: IoU {:.0f} %, thin {:.0f} %, sheets {:.0f} %; loss {:.3f}"
         print(report.format(*progress["curve"][-1], np.mean(losses)), flush=True)
         export(average.module, out / "click_net.onnx")
         content = {name: state.state_dict() for name, state in states.items()}
         torch.save(content | {"progress": progress | {"minutes": done, "step": step}}, out / "checkpoint.new")
-        os.replace(out / "checkpoint.new", file)  # at once: a training that is killed leaves the old one or the new
+        (out / "checkpoint.new").replace(file)  # at once: a training that is killed leaves the old one or the new
         if done >= ended:
             break
         saved, losses = done, []
