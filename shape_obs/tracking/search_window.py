@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _SPARE: Final = 8  # pixels around the place where a mask is expected
 _CONTEXT: Final = 32  # pixels around the window that a rule that follows the track sees
-_TURNED: Final = 0.5  # rad by which an object may turn from frame to frame, about, or that part by which it may stretch
+_TURNED: Final = 0.5  # rad by which an object may turn in a frame, about, or the share by which it may stretch
 _PLACES: Final = 24  # in an outline, about
 _RIM: Final = 7  # pixels of the square around a place in an outline that must be in it too
 
@@ -153,16 +153,18 @@ class RegionSearch:
     def _expected(self, tracks: Iterable[Track | None], anywhere: bool) -> Expected:
         """Return where tracks expect their objects: where these were, and where they should be by now."""
         assert self.frame.size is not None
+        known = [track for track in tracks if track is not None]
         mask, places = np.zeros(self.frame.size, np.uint8), []
-        for track in filter(None, tracks):
+        for track in known:
             moved = track.nodes + track.interval * track.velocity  # (K, D)
-            one, other = (np.diff(nodes[track.topology.edges()], axis=1) for nodes in (track.nodes, moved))
-            alike = np.linalg.norm(other - one) <= _TURNED * np.linalg.norm(one)
-            for nodes in (track.nodes, moved) if alike else (track.nodes,):
+            before, after = (np.diff(nodes[track.topology.edges()], axis=1) for nodes in (track.nodes, moved))
+            # Where nodes slid along the object, or its ends were exchanged, the step that they took is no motion.
+            plausible = np.linalg.norm(after - before) <= _TURNED * np.linalg.norm(before)
+            for nodes in (track.nodes, moved) if plausible else (track.nodes,):
                 if nodes.shape[1] == 3 and self.frame.camera is not None:
                     nodes = self.frame.camera.intrinsics.project(nodes)
                 places.append(draw_expected(mask, nodes, track))
-        ropes = all(isinstance(track.topology, Chain) for track in filter(None, tracks))
+        ropes = all(isinstance(track.topology, Chain) for track in known)
         return Expected(np.concatenate(places), mask, ropes, anywhere)
 
     def cloud(self, rule: Segmentation | None) -> SeenCloud:
