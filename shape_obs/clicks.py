@@ -178,10 +178,12 @@ def _fused(probability: npt.NDArray[np.float32], rgb: Image, colours: ClickedCol
 
 
 def _contrast(seen: Mask, rgb: Image) -> float:
-    """Return the distance in Lab of the colour of a mask from that of what is around it."""
+    """Return the distance in Lab of the colour of a mask from that of what is around it; 0 without either."""
     near, far = (cv2.dilate(seen.view(np.uint8), np.ones((side, side), np.uint8)) > 0 for side in _AROUND)
-    parts = [as_lab(rgb[part][None])[0] for part in (seen, far & ~near)]  # (K, 3)
-    return float(np.linalg.norm(np.subtract(*(np.median(part, axis=0) for part in parts)))) if parts[1].size else 0.0
+    own, around = rgb[seen], rgb[far & ~near]  # (K, 3)
+    if not (len(own) and len(around)):
+        return 0.0
+    return float(np.linalg.norm(np.subtract(*(np.median(as_lab(part[None])[0], axis=0) for part in (own, around)))))
 
 
 def _at_one_depth(seen: Mask, metres: npt.NDArray[np.float32], picks: Sequence[Pixel]) -> Mask:
