@@ -296,7 +296,7 @@ _COLUMNS: Final = {
 }  # fmt: skip
 # At least so many percent of the photos are right after one click, and after three.
 _RIGHT: Final = (("ropes and wires", 85, 95), ("sheets and rings", 90, 97), ("colour of their own", 100, 100))
-_REACHED: Final = "more training brings little: see docs/concepts/click-network.md"
+_REACHED: Final = "more training brings no more"
 _LIKE_HUES: Final = "as fast as a range of hues, see clicks.time; with another process running"
 CLAIMS: Final = (
     Claim(
