@@ -50,7 +50,7 @@ _GAP: Final = Gap(15.0, 1.0)  # as wide as what may hide a rope, such as a hand
 _LIKE: Final = 14.0  # distance to the colour of a click, see ``distances_of_colours``: it still looks the same there
 _PIXELS_NEAR: Final = 100_000  # of the surroundings of a track, as the network sees them: it looks at these once
 _FEWEST: Final = 4  # places of a track on the rope that it follows; where another one crosses there are fewer
-_MOTION: Final = 16  # pixels by which an object may lie beside the place where it is expected
+_MOTION: Final = 16  # pixels by which an object may lie off the place where it is expected
 _MOST: Final = 0.6  # share of the image
 
 
@@ -310,7 +310,7 @@ class ClickNet(FollowingRule, kind="click_net"):
         nots: (u, v) of the clicks that are not on the object.
         object: The colours under the clicks on it, (L, a, b) of CIE Lab; L 0...100.
         background: Those under the other clicks.
-        colours: The colours of all of the object and of its surroundings, which decide where the network is in doubt.
+        colours: The colours of all of the object and of its surroundings, which decide where the network is not sure.
     """
 
     picks: tuple[tuple[float, float], ...] = ()

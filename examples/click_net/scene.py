@@ -152,10 +152,10 @@ def _add_sheet(rng: Random, canvas: _Canvas, edge: Array, base: Array, label: in
     for part in parts:
         filled = cv2.fillPoly(np.zeros_like(canvas.top), [part.round().astype(np.int32)], 255)
         mask = cv2.morphologyEx(filled[box], cv2.MORPH_OPEN, np.ones((3, 3)))  # no spikes where it is folded
-        rim = rng.uniform(0, 0.4) * np.exp(cv2.distanceTransform(mask, cv2.DIST_L2, 3) / -rng.uniform(1, 6))
+        edge_shade = rng.uniform(0, 0.4) * np.exp(cv2.distanceTransform(mask, cv2.DIST_L2, 3) / -rng.uniform(1, 6))
         fallen = np.roll(mask, rng.normal(0, 3, 2).astype(int), (1, 0))
         canvas.plan(level, canvas.shade, box, fallen, rng.uniform(1, 5), max(0, rng.uniform(-0.3, 0.6)))
-        canvas.plan(level, canvas.cover, box, mask, np.clip(paint * (1 - rim)[..., None], 0, 255), label)
+        canvas.plan(level, canvas.cover, box, mask, np.clip(paint * (1 - edge_shade)[..., None], 0, 255), label)
         back = paint + (colour(rng) - paint) * max(0, rng.uniform(-0.6, 0.6))  # of another colour at times
         paint = (back * rng.uniform(0.75, 1.2)).astype(np.float32)
 

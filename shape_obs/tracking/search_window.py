@@ -83,7 +83,7 @@ class RegionSearch:
         roi: The part of the image to search.
         shapes: The shapes that are looked for.
         found: Their tracks by name; a rule of which a shape has none is looked for everywhere.
-        everywhere: Whether to look for all of them everywhere; a rule that follows the track still knows it.
+        everywhere: Whether to look for all of them everywhere; a rule that follows the track still gets it.
 
     Attributes:
         whole: The part of the image that the region of interest reads; what touches its edge may go on behind it.
@@ -158,7 +158,7 @@ class RegionSearch:
         for track in known:
             moved = track.nodes + track.interval * track.velocity  # (K, D)
             before, after = (np.diff(nodes[track.topology.edges()], axis=1) for nodes in (track.nodes, moved))
-            # Where nodes slid along the object, or its ends were exchanged, the step that they took is no motion.
+            # Nodes that drifted along the object, or whose order was reversed, show no motion of it.
             plausible = np.linalg.norm(after - before) <= _TURNED * np.linalg.norm(before)
             for nodes in (track.nodes, moved) if plausible else (track.nodes,):
                 if nodes.shape[1] == 3 and self.frame.camera is not None:
