@@ -25,7 +25,7 @@ from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Expected, FollowingRule, Segmentation, need
 from shape_obs.image.sharing import FOUND, MOST, TRACED, part_of, share
 from shape_obs.initialization.objects import SceneObject
-from shape_obs.initialization.ropes import Gap, find_ropes
+from shape_obs.initialization.ropes import NARROW, Gap, find_ropes
 from shape_obs.spec import SpecError
 
 Image = npt.NDArray[np.uint8]
@@ -39,7 +39,7 @@ _DIFFERENT: Final = 0.05  # share of either of two masks of one object that may 
 _ROPE: Final = 11.0  # times as long as it is wide; garments are up to 9 times
 # How much colours add to the log odds of the network, and from where they are as sure as they can be; how often.
 _WEIGHT, _SURE, _ROUNDS = 0.5, 4.0, 2
-_NEVER: Final = 1e-4  # the probability that the network may well be wrong where it is sure
+_CERTAIN: Final = 1 / (1 + math.exp(-_WEIGHT * _SURE))  # the probability from which colours do not matter
 _AROUND: Final = 5, 15  # pixels of the squares by which a mask grows to where its surroundings begin and end
 _CONTRAST: Final = 4.0  # distance in Lab of an object from its surroundings; drawn objects are 9 or more away
 _STEP: Final = 0.006, 0.015  # metres, and share of the distance: a change of depth that separates things
@@ -50,6 +50,7 @@ _GAP: Final = Gap(15.0, 1.0)  # as wide as what may hide a rope, such as a hand
 _LIKE: Final = 14.0  # distance to the colour of a click, see ``distances_of_colours``: it still looks the same there
 _PIXELS_NEAR: Final = 100_000  # of the surroundings of a track, as the network sees them: it looks at these once
 _FEWEST: Final = 4  # places of a track on the rope that it follows; where another one crosses there are fewer
+_MOTION: Final = 16  # pixels by which an object may lie off the place where it is expected
 _MOST: Final = 0.6  # share of the image
 
 
@@ -109,7 +110,8 @@ def propose_segmentation(
     if colours is not None and all(_is_same(_found(colours, _relit(small, gain)), mask) for gain in LIGHTS):
         rule: Segmentation = replace(colours, picks=picks, nots=nots)
     else:
-        rule = ClickNet(picks=picks, nots=nots, object=_rows(on.colours), background=_rows(off.colours))
+        clicked = _rows(on.colours), _rows(off.colours)
+        rule = ClickNet(picks=picks, nots=nots, object=clicked[0], background=clicked[1], colours=colours)
     if small is not rgb:
         mask = cv2.resize(mask.view(np.uint8), rgb.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
     if mask.mean() > _MOST:
@@ -152,25 +154,36 @@ def _reduced(rgb: Image, *clicks: Sequence[Pixel]) -> tuple[Image, Sequence[Pixe
 
 
 def _with_colours(rgb: Image, probability: npt.NDArray[np.float32]) -> tuple[Mask, ClickedColours | None]:
-    """Return the mask that a probability and the colours fitted to that mask agree on, and the rule of these colours.
+    """Return the mask that a probability and the colours fitted to that mask agree on, and the rule of those."""
+    seen, rule = probability > HALF, None
+    for _ in range(_ROUNDS):
+        rule = fit_rule(rgb, seen)
+        if rule is not None:
+            seen = _fused(probability, rgb, rule)
+    return seen, rule
+
+
+def _fused(probability: npt.NDArray[np.float32], rgb: Image, colours: ClickedColours) -> Mask:
+    """Return the mask that a probability and colours agree on.
 
     Log odds are added, those of colours at less weight: pixels of one colour are not independent. The network
     sees shapes, at a lower resolution; the colours draw borders and thin lines more sharply.
     """
-    p = np.clip(probability, _NEVER, 1 - _NEVER)
-    odds, seen, rule = np.log(p / (1 - p)), probability > HALF, None
-    for _ in range(_ROUNDS):
-        rule = fit_rule(rgb, seen)
-        if rule is not None:
-            seen = odds + _WEIGHT * np.clip(rule.log_odds(rgb), -_SURE, _SURE) > 0
-    return seen, rule
+    seen = probability > _CERTAIN
+    unsure = (probability > 1 - _CERTAIN) & ~seen
+    if unsure.any():
+        p, of_colour = probability[unsure], colours.log_odds(rgb[unsure][None])[0]  # (K,)
+        seen[unsure] = np.log(p / (1 - p)) + _WEIGHT * np.clip(of_colour, -_SURE, _SURE) > 0
+    return seen
 
 
 def _contrast(seen: Mask, rgb: Image) -> float:
-    """Return the distance in Lab of the colour of a mask from that of what is around it."""
+    """Return the distance in Lab of the colour of a mask from that of what is around it; 0 without either."""
     near, far = (cv2.dilate(seen.view(np.uint8), np.ones((side, side), np.uint8)) > 0 for side in _AROUND)
-    parts = [as_lab(rgb[part][None])[0] for part in (seen, far & ~near)]  # (K, 3)
-    return float(np.linalg.norm(np.subtract(*(np.median(part, axis=0) for part in parts)))) if parts[1].size else 0.0
+    own, around = rgb[seen], rgb[far & ~near]  # (K, 3)
+    if not (len(own) and len(around)):
+        return 0.0
+    return float(np.linalg.norm(np.subtract(*(np.median(as_lab(part[None])[0], axis=0) for part in (own, around)))))
 
 
 def _at_one_depth(seen: Mask, metres: npt.NDArray[np.float32], picks: Sequence[Pixel]) -> Mask:
@@ -192,23 +205,34 @@ def _at_one_depth(seen: Mask, metres: npt.NDArray[np.float32], picks: Sequence[P
     return seen & alike[parts]
 
 
-def _ropes_at(seen: Mask, rgb: Image, picks: Sequence[Pixel], nots: Sequence[Pixel], least: int = 1) -> Mask:
+def _ropes_at(
+    seen: Mask, rgb: Image, picks: Sequence[Pixel], nots: Sequence[Pixel], gap: Gap = _GAP, least: int = 1
+) -> Mask:
     """Return the ropes of a mask that have ``least`` of the picks and no not, over all crossings; else all of the mask.
 
     Ropes of one colour look alike to the network; which way each goes is a matter of its curve.
     """
     region = find_region(seen.view(np.uint8), _whole(seen), *_PLAUSIBLE)
     whole = region.mask > 0
-    ropes = find_ropes(region, rgb, _GAP)[0] if region.area and region.length > _ROPE * region.width else []
+    ropes = find_ropes(region, rgb, gap)[0] if region.area and region.length > _ROPE * region.width else []
     on, off = (Counter(_nearest(ropes, pixel) for pixel in pixels) for pixels in (picks, nots))
     clicked = [k for k, count in on.items() if k is not None and count >= least and k not in off]
-    if not clicked or len(ropes) > MOST or (len(ropes) == least == 1):
+    if not clicked or len(ropes) > MOST or len(ropes) == least == 1:
         return whole
     reach = FOUND if least == 1 else TRACED  # what sticks out of a rope that is known is not its own
     owners, _, _ = share(region, [rope.curve.points for rope in ropes], [rope.width for rope in ropes], reach)
     part, mask = part_of(region, owners, clicked, *_PLAUSIBLE), np.zeros_like(whole)
     mask[part.window.slices] = part.mask > 0
     return mask
+
+
+def _parts_at(seen: Mask, expected: npt.NDArray[np.uint8]) -> Mask:
+    """Return the connected parts of a mask that mostly lie where it is expected, about; all of them if none does."""
+    count, labels = cv2.connectedComponents(seen.view(np.uint8))
+    near = cv2.dilate(expected, np.ones((2 * _MOTION + 1,) * 2, np.uint8)) > 0
+    area, there = (np.bincount(np.asarray(labels)[part], minlength=count) for part in (seen, seen & near))
+    mostly = there > area / 2
+    return mostly[labels] if mostly.any() else seen
 
 
 def _nearest(ropes: Sequence[SceneObject], pixel: Pixel) -> int | None:
@@ -286,12 +310,14 @@ class ClickNet(FollowingRule, kind="click_net"):
         nots: (u, v) of the clicks that are not on the object.
         object: The colours under the clicks on it, (L, a, b) of CIE Lab; L 0...100.
         background: Those under the other clicks.
+        colours: The colours of all of the object and of its surroundings, which decide where the network is not sure.
     """
 
     picks: tuple[tuple[float, float], ...] = ()
     nots: tuple[tuple[float, float], ...] = ()
     object: tuple[tuple[float, float, float], ...] = ()
     background: tuple[tuple[float, float, float], ...] = ()
+    colours: ClickedColours | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -310,7 +336,7 @@ class ClickNet(FollowingRule, kind="click_net"):
         rgb = need(frame.rgb, "rgb", self)[window.slices]
         photo, places = Photo(rgb), np.array(self.picks).reshape(-1, 2) - (window.left, window.top)
         on, off, known = self._clicks(photo, places)
-        return _ropes_at(photo.probability(on, off) > HALF, rgb, places[known].tolist(), [])
+        return _ropes_at(self._seen(rgb, photo.probability(on, off)), rgb, places[known].tolist(), [])
 
     def threshold_near(self, frame: Frame, window: Window, expected: Expected) -> npt.NDArray[np.bool_]:
         """Look once around the places that are expected; those that look otherwise are not believed."""
@@ -318,8 +344,14 @@ class ClickNet(FollowingRule, kind="click_net"):
         photo, places = Photo(rgb, _PIXELS_NEAR), expected.places - (window.left, window.top)
         before = cv2.resize(expected.mask[window.slices], photo.rgb.shape[1::-1], interpolation=cv2.INTER_AREA)
         on, off, known = self._clicks(photo, places)
-        found = photo.probability(on, off, np.asarray(before, np.float32), passes=1) > HALF
-        return _ropes_at(found, rgb, places[known].tolist(), [], least=_FEWEST)
+        found = self._seen(rgb, photo.probability(on, off, np.asarray(before, np.float32), passes=1))
+        if expected.ropes:
+            gap = _GAP if expected.anywhere else NARROW
+            return _ropes_at(found, rgb, places[known].tolist(), [], gap, _FEWEST)
+        return found if expected.anywhere else _parts_at(found, expected.mask[window.slices])
+
+    def _seen(self, rgb: Image, probability: npt.NDArray[np.float32]) -> Mask:
+        return probability > HALF if self.colours is None else _fused(probability, rgb, self.colours)
 
     def _clicks(self, photo: Photo, pixels: npt.NDArray[np.float64]) -> tuple[Clicks, Clicks, npt.NDArray[np.bool_]]:
         """Return clicks of the colours that were clicked, at those pixels that look like one of them, and which do."""

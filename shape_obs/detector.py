@@ -225,10 +225,9 @@ class ShapeDetector:
         self._frames += 1
         search = None
         if roi is not None:
-            fresh = self._frames % _SEARCH_ALL == 0
             trackers = [tracker for followed in self._followed for tracker in followed.trackers]
-            tracks = {each.spec.name: each.track for each in trackers if each.track is not None and not fresh}
-            search = RegionSearch(frame, mask, roi, self.shapes, tracks)
+            tracks = {each.spec.name: each.track for each in trackers if each.track is not None}
+            search = RegionSearch(frame, mask, roi, self.shapes, tracks, self._frames % _SEARCH_ALL == 0)
         self._clock.tick(frame.stamp)
         size = (frame.size or (0, 0)) if mask is None else (mask.shape[0], mask.shape[1])
         moment, shapes = Moment(frame, self._clock, anchors, timings, in_2d=True, in_3d=with_depth, size=size), []

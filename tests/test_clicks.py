@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 import yaml
 
-from shape_obs import Centerline, ShapeDetector
+from shape_obs import Centerline, Contour, ShapeDetector
 from shape_obs.clicks import propose_segmentation
 from shape_obs.config.config_file import detector_arguments, load_config, save_config
+from shape_obs.frame import Frame
 from shape_obs.image.click_net import load_network
+from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.utils.arrays import read_image
 from tests.benchmarks.clicks import first_click
@@ -98,6 +100,7 @@ def test_of_ropes_of_one_colour_the_clicked_one_is_found_and_followed(alike):
     assert overlap(away.mask, level) > 0.8
     saved = Segmentation.from_dict(proposal.rule.to_dict())
     assert saved == proposal.rule
+    assert overlap(saved.apply(Frame(photo), Window(0, 0, 320, 240)) > 0, proposal.mask) > 0.95
     detector = ShapeDetector([Centerline(n=20)], saved)
     expected = np.stack([np.linspace(34, 286, 41)[1::2], np.linspace(109.5, 130.5, 41)[1::2]], axis=1)
     moved = photo
@@ -109,6 +112,21 @@ def test_of_ropes_of_one_colour_the_clicked_one_is_found_and_followed(alike):
         assert np.abs(shape.points2d[:, 1] - shift - np.interp(shape.points2d[:, 0], *expected.T)).max() < 4
     assert not detector.detect(np.full_like(photo, (120, 150, 120))).shapes[0].visible.any()
     assert detector.detect(moved).shapes[0].ok  # found again, by the colours
+
+
+def test_an_object_is_not_left_for_another_one_like_it():
+    """All of the image is searched every 30 frames; by then the object has left the place of the click."""
+    rng, photo = np.random.default_rng(0), np.full((240, 320, 3), (120, 150, 120), np.uint8)
+    for corners in (((50, 60), (100, 110)), ((180, 60), (280, 160))):
+        cv2.rectangle(photo, *corners, (190.0, 70.0, 50.0), -1)
+    photo = np.clip(cv2.GaussianBlur(photo, (0, 0), 0.8) + rng.normal(0, 4, photo.shape), 0, 255).astype(np.uint8)
+    detector = ShapeDetector([Contour(n=16)], propose_segmentation(photo, [(75, 85)]).rule)
+    for shift in range(0, 64, 2):  # pixels
+        moved = np.roll(photo, shift, axis=0)
+        moved[:shift] = photo[0]
+        shape = detector.detect(moved).shapes[0]
+        assert shape.ok, shape.reason
+        assert np.abs(shape.points2d.mean(axis=0) - (75, 85 + shift)).max() < 3
 
 
 def test_depth_separates_what_has_one_colour():

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
-from typing import Final
 
 import onnx
 import torch
 from curves import HEIGHT, WIDTH
 from torch import Tensor, nn
+from torch.nn import functional
 
 from shape_obs.image.click_net import CHANNELS
 
 _A, _B, _C = 24, 40, 64  # channels at 1/2, at 1/4, and at 1/8 and 1/16 of the photo's size
-_OPSET: Final = 17  # of ONNX: OpenCV 4.9 reads its operators
-_SMALL: Final = 200  # values of a tensor up to which it stays float32
 
 
 def _conv(inputs: int, outputs: int, size: int = 3, stride: int = 1, dilation: int = 1) -> nn.Sequential:
-    padding = dilation * ((size - 1) // 2)
-    convolution = nn.Conv2d(inputs, outputs, size, stride, padding, dilation, bias=False)
+    convolution = nn.Conv2d(inputs, outputs, size, stride, (size - 1) // 2 * dilation, dilation, bias=False)
     return nn.Sequential(convolution, nn.BatchNorm2d(outputs), nn.ReLU(inplace=True))
 
 
@@ -28,8 +26,7 @@ class _Residual(nn.Module):
 
     def __init__(self, dilation: int) -> None:
         super().__init__()
-        self.first = _conv(_C, _C, dilation=dilation)
-        self.second = nn.Sequential(nn.Conv2d(_C, _C, 3, padding=1, bias=False), nn.BatchNorm2d(_C))
+        self.first, self.second = _conv(_C, _C, dilation=dilation), _conv(_C, _C)[:2]
 
     def forward(self, x: Tensor) -> Tensor:
         return torch.relu(x + self.second(self.first(x)))
@@ -41,11 +38,11 @@ class _Up(nn.Module):
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
         self.narrow = _conv(inputs, outputs, 1)
-        self.double_size = nn.Upsample(scale_factor=2, mode="bilinear", align_corners=False)
         self.join = nn.Sequential(_conv(2 * outputs, outputs, 1), _conv(outputs, outputs))
 
     def forward(self, x: Tensor, finer: Tensor) -> Tensor:
-        return self.join(torch.cat([self.double_size(self.narrow(x)), finer], 1))
+        doubled = functional.interpolate(self.narrow(x), scale_factor=2, mode="bilinear")
+        return self.join(torch.cat([doubled, finer], 1))
 
 
 class ClickNet(nn.Module):
@@ -69,13 +66,11 @@ class ClickNet(nn.Module):
         self.interleave.weight = nn.Parameter(torch.eye(4).reshape(4, 1, 2, 2), requires_grad=False)
 
     def forward(self, x: Tensor) -> Tensor:
-        maps = []
-        for level in self.down:
-            x = level(x)
-            maps.append(x)
-        for level, finer in zip(self.up, maps[-2::-1], strict=True):
-            x = level(x, finer)
-        return self.interleave(self.parts(x))
+        half = self.down[0](x)
+        quarter = self.down[1](half)
+        eighth = self.down[2](quarter)
+        x = self.up[0](self.down[3](eighth), eighth)
+        return self.interleave(self.parts(self.up[2](self.up[1](x, quarter), half)))
 
 
 def export(network: nn.Module, path: Path) -> None:
@@ -84,14 +79,12 @@ def export(network: nn.Module, path: Path) -> None:
     The file states the size of the photos in training, because OpenCV 4.9 reads no free sizes; ``cv2.dnn`` takes any
     sides of 32 or more that are multiples of 16 (OpenCV 5.0 computes nonsense from a side of 16).
     """
-    seen = torch.zeros(1, CHANNELS, HEIGHT, WIDTH)
-    torch.onnx.export(
-        network.eval(), (seen,), path, input_names=["x"], output_names=["y"], opset_version=_OPSET, dynamo=False
-    )
+    write = partial(torch.onnx.export, opset_version=17, dynamo=False)  # operators that OpenCV 4.9 reads
+    write(network.eval(), (torch.zeros(1, CHANNELS, HEIGHT, WIDTH),), path, input_names=["x"], output_names=["y"])
     model = onnx.load(path)
     for tensor in list(model.graph.initializer):  # weights are stored as float16, and cast when the file is read
         weights, name, stored = onnx.numpy_helper.to_array(tensor), tensor.name, f"{tensor.name}_half"
-        if weights.dtype == "float32" and weights.size > _SMALL:
+        if weights.dtype == "float32" and weights.size > 200:
             tensor.CopyFrom(onnx.numpy_helper.from_array(weights.astype("float16"), stored))
             model.graph.node.insert(0, onnx.helper.make_node("Cast", [stored], [name], to=onnx.TensorProto.FLOAT))
     onnx.save(model, path)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import count, islice
 from typing import Final
 
@@ -14,19 +13,13 @@ import torch
 from curves import HEIGHT, SHAPE, WIDTH, Array, Random
 from scene import Scene, draw_scene
 from torch import Tensor
-from torch.utils.data import IterableDataset
+from torch.utils.data import Dataset
 
 from shape_obs.image.click_net import Clicks, as_lab, network_input
 
-BATCH = 8
-_POOL: Final = 300  # scenes that the samples of a batch are taken from
-_NEW: Final = 4  # scenes drawn for each batch
-_LEAST: Final = 60  # pixels of an object that must be seen for it to be clicked
-_EVEN: Final = ((8, 8, 8), (8, 8, 8))  # levels between neighbouring pixels of an even ground
-_WIDE: Final = 0.2  # share of the photo, and of its border, that an even ground has
-_GONE: Final = 0.08  # share of the frames of videos in which the object is not to be seen any more
+_POOL, _NEW, _BATCH = 300, 4, 8  # scenes that a batch is drawn from, those of them that are new, and its samples
+_LIKE: Final = {"click": 9.0, "video": 0.0, "colour": 14.0}  # CIE Lab; colours that are closer count as the same
 _NEAR: Final = np.ones((5, 5), np.uint8)  # objects that come closer than 2 pixels touch
-_ALIKE: Final = 14.0  # distance of colours in Lab, squares of lightness at half weight, that are easily confused
 
 
 @dataclass
@@ -52,35 +45,32 @@ class Sample:
         name, error = ("on", missed) if missed.sum() > extra.sum() else ("off", extra)
         clicks: Clicks = getattr(self, name)
         if error.any():
-            more = Clicks.at(as_lab(self.photo), [_inside(rng, error)])
+            more = Clicks.at(as_lab(self.photo), _inside(rng, error)[None])
             clicks = Clicks(*map(np.concatenate, zip(clicks, more, strict=True)))
         return replace(self, previous=probability, **{name: clicks})
 
 
-class Batches(IterableDataset[tuple[list[Sample], Tensor]]):
-    """Draw batches without end: samples, and what the network sees of them ``(BATCH, 11, h, w)`` float16.
+@lru_cache(_POOL)
+def _scene(seed: int, number: int) -> Scene:
+    return draw_scene(np.random.default_rng([seed, 0, number]))
 
-    Scene j of a seed is always the same, and batch k is drawn from the ``_POOL`` scenes before scene ``_NEW`` (k + 1):
-    a training that is interrupted and resumed sees the same data as one that is not.
-    """
 
-    def __init__(self, seed: int, first: int) -> None:
-        self.seed, self.first = seed, first
+@dataclass
+class Batches(Dataset[tuple[list[Sample], Tensor]]):
+    """Batches by their number: samples, and what the network sees of them ``(B, 11, h, w)`` float16."""
 
-    def __iter__(self) -> Iterator[tuple[list[Sample], Tensor]]:
-        pool: deque[Scene] = deque(maxlen=_POOL)
-        drawn = max(0, self.first * _NEW - _POOL)
-        for batch in count(self.first):
-            for number in range(drawn, (batch + 1) * _NEW):
-                pool.append(draw_scene(np.random.default_rng([self.seed, 0, number])))
-            drawn, rng = (batch + 1) * _NEW, np.random.default_rng([self.seed, 1, batch])
-            attempts = (draw_sample(rng, _varied(rng, pool[rng.integers(len(pool))])) for _ in count())
-            samples = list(islice((sample for sample in attempts if sample), BATCH))
-            for k, sample in enumerate(samples):
-                if sample.kind == "video" and rng.random() < _GONE:
-                    elsewhere = pool[rng.integers(len(pool))].photo
-                    samples[k] = replace(sample, photo=elsewhere, target=np.zeros(SHAPE, np.uint8))
-            yield samples, torch.from_numpy(np.stack([sample.seen() for sample in samples]).astype(np.float16))
+    seed: int  # that and the number say which batch it is: a training that is resumed sees what an unbroken one does
+
+    def __getitem__(self, number: int) -> tuple[list[Sample], Tensor]:
+        rng, drawn = np.random.default_rng([self.seed, 1, number]), (number + 1) * _NEW
+        pool = range(max(0, drawn - _POOL), drawn)
+        attempts = (draw_sample(rng, _varied(rng, _scene(self.seed, rng.choice(pool)))) for _ in count())
+        samples = list(islice((sample for sample in attempts if sample), _BATCH))
+        for k, sample in enumerate(samples):
+            if sample.kind == "video" and rng.random() < 0.08:  # the object is not to be seen any more
+                elsewhere = _scene(self.seed, rng.choice(pool)).photo
+                samples[k] = replace(sample, photo=elsewhere, target=np.zeros(SHAPE, np.uint8))
+        return samples, torch.from_numpy(np.stack([sample.seen() for sample in samples]).astype(np.float16))
 
 
 def _varied(rng: Random, scene: Scene) -> Scene:
@@ -99,54 +89,43 @@ def _relit(rng: Random, photo: Array, offset: float = 0.0) -> Array:
 
 
 def draw_sample(rng: Random, scene: Scene, kind: str | None = None) -> Sample | None:
-    """Draw a sample from a scene, or None if nothing in it can be clicked.
+    """Draw a sample from a scene, by default of any kind, or None if nothing in it can be clicked.
 
-    Args:
-        rng: Source of random numbers.
-        scene: The scene.
-        kind: "click": clicks on the object and off it; "video": the mask of the frame before, places along the object,
-            and colours from before a change of light; "colour": such colours alone, and all objects that have them are
-            meant; "ground": a click on a wide and even ground, which means nothing. By default 63, 29, 5 and 3 %.
+    "click": clicks on the object and off it; "video": the mask of the frame before, places along the object, colours
+    from before a change of light; "colour": such colours alone, of all objects that have them; "ground": of none.
     """
     kind = kind or str(rng.choice(["click", "video", "colour", "ground"], p=[0.63, 0.29, 0.05, 0.03]))
     if kind == "ground":
         return _on_ground(rng, scene)
-    choices = [index for index in range(len(scene.kinds)) if (scene.top == index + 1).sum() > _LEAST]
+    choices = [index for index in range(len(scene.kinds)) if (scene.top == index + 1).sum() > 60]  # pixels
     if not choices:
         return None
     index, lab = int(rng.choice(choices)), as_lab(scene.photo)
     mask = scene.whole >> index & 1
     seen = mask * (scene.top == index + 1).astype(np.uint8)
     off = _places_off(rng, scene, mask) if kind == "click" or (kind == "video" and rng.random() < 0.3) else []
-    target = mask.copy()
-    for other in _alike(scene, lab, index):
-        part = scene.whole >> other & 1
+    target, own = mask.copy(), lab[scene.top == index + 1].mean(0)
+    for other, its_kind in enumerate(scene.kinds):
+        part, visible = scene.whole >> other & 1, scene.top == other + 1
+        alike = visible.any() and np.square(lab[visible].mean(0) - own) @ [0.5, 1, 1] < _LIKE[kind] ** 2
         # In a video the frame before shows which one is meant. Ropes are separated afterwards, by following one.
-        either = kind == "click" and not any(part[y, x] for x, y in off)
-        if kind == "colour":
+        either = not any(part[y, x] for x, y in off)
+        ropes = scene.kinds[index] == its_kind == "rope"
+        if alike and kind == "colour":
             target[part > 0] = 1
-        elif either and (scene.kinds[index] == scene.kinds[other] == "rope" or cv2.dilate(part, _NEAR)[mask > 0].any()):
+        elif alike and either and (ropes or cv2.dilate(part, _NEAR)[mask > 0].any()):
             target[(part > 0) & (mask == 0)] = 2
     crossing = seen * (scene.whole & (scene.whole - np.uint8(1)) > 0)  # more than one bit
     pixels = [_inside(rng, crossing if rng.random() < 0.2 and crossing.any() else seen)]
     pixels += [_inside(rng, seen) for _ in range(rng.integers(1, 3))] if rng.random() < 0.3 else []
-    previous = None
+    previous = _expected(rng, mask, scene.kinds[index]) if kind == "video" else None
     if kind == "click":
-        slip = rng.integers(-2, 3, 2) if rng.random() < 0.25 else (0, 0)  # not quite hit
-        on = Clicks.at(lab, [(pixels[0][0] + slip[0], pixels[0][1] + slip[1]), *pixels[1:]])
+        pixels[0] += rng.integers(-2, 3, 2) if rng.random() < 0.25 else 0  # not quite hit
+        on = Clicks.at(lab, np.array(pixels))
     else:
-        previous = _expected(rng, mask, scene.kinds[index]) if kind == "video" else None
         places = np.zeros((0, 2), np.float32) if previous is None else _predicted(rng, previous)
-        on = Clicks(places, Clicks.at(as_lab(_relit(rng, scene.photo)), pixels).colours)
-    return Sample(scene.photo, target, on, Clicks.at(lab, off), previous, kind, scene.kinds[index] != "sheet")
-
-
-def _alike(scene: Scene, lab: Array, index: int) -> list[int]:
-    """Return the other objects of nearly the same mean colour."""
-    seen = {other: scene.top == other + 1 for other in range(len(scene.kinds))}
-    means = {other: lab[mask].mean(0) for other, mask in seen.items() if mask.any()}
-    distances = {other: (np.square(mean - means[index]) * [0.5, 1, 1]).sum() for other, mean in means.items()}
-    return [other for other, distance in distances.items() if distance < _ALIKE**2 and other != index]
+        on = Clicks(places, Clicks.at(as_lab(_relit(rng, scene.photo)), np.array(pixels)).colours)
+    return Sample(scene.photo, target, on, Clicks.at(lab, np.array(off)), previous, kind, scene.kinds[index] != "sheet")
 
 
 def _on_ground(rng: Random, scene: Scene) -> Sample | None:
@@ -154,16 +133,15 @@ def _on_ground(rng: Random, scene: Scene) -> Sample | None:
     away = 1 - cv2.dilate((scene.whole > 0).astype(np.uint8), np.ones((25, 25), np.uint8))
     if not away.any():
         return None
-    pixel, padded = _inside(rng, away), np.zeros((HEIGHT + 2, WIDTH + 2), np.uint8)
-    cv2.floodFill(scene.photo.copy(), padded, pixel, (0,), *_EVEN, flags=4 | (1 << 8) | cv2.FLOODFILL_MASK_ONLY)
-    even = padded[1:-1, 1:-1]
-    if min(even.mean(), np.concatenate([*even[[0, -1]], *even.T[[0, -1]]]).mean()) < _WIDE:
-        return None
-    on = Clicks.at(as_lab(scene.photo), [pixel])
-    return Sample(scene.photo, np.zeros(SHAPE, np.uint8), on, Clicks(), None, "ground", False)
+    pixel, even, step = _inside(rng, away), np.zeros((HEIGHT + 2, WIDTH + 2), np.uint8), (8, 8, 8)  # levels
+    cv2.floodFill(scene.photo.copy(), even, pixel.tolist(), (0,), step, step, 4 | (1 << 8) | cv2.FLOODFILL_MASK_ONLY)
+    even = even[1:-1, 1:-1]
+    wide = min(even.mean(), np.concatenate([*even[[0, -1]], *even.T[[0, -1]]]).mean()) >= 0.2  # of photo and border
+    on = Clicks.at(as_lab(scene.photo), pixel[None])
+    return Sample(scene.photo, np.zeros(SHAPE, np.uint8), on, Clicks(), None, "ground", False) if wide else None
 
 
-def _places_off(rng: Random, scene: Scene, mask: Array) -> list[tuple[int, int]]:
+def _places_off(rng: Random, scene: Scene, mask: Array) -> list[Array]:
     """Draw no, one or two pixels off an object, on other objects or anywhere."""
     free = 1 - cv2.dilate(mask, _NEAR)
     others, number = free * (scene.whole > 0).astype(np.uint8), rng.choice(3, p=[0.7, 0.18, 0.12])
@@ -196,8 +174,8 @@ def _expected(rng: Random, mask: Array, kind: str) -> Array:
     if rng.random() < 0.4:  # on one side of a line the track is wrong
         shift = rng.normal(0, 20, 2) + bend * rng.uniform(0, 25)
         source += shift * np.clip(beyond / rng.uniform(10, 60), 0, 1)[..., None]
-    source = source.astype(np.float32)
-    moved, change = cv2.remap(mask, source[..., 0], source[..., 1], cv2.INTER_NEAREST), rng.random()
+    x, y = np.moveaxis(source, -1, 0).astype(np.float32)
+    moved, change = cv2.remap(mask, x, y, cv2.INTER_NEAREST), rng.random()
     if change < 0.4:
         size = int(rng.integers(2, 8))
         moved = cv2.dilate(moved, np.ones((size, size))) if change < 0.25 else cv2.erode(moved, np.ones((2, 2)))
@@ -210,13 +188,11 @@ def _expected(rng: Random, mask: Array, kind: str) -> Array:
     return cv2.GaussianBlur(moved.astype(np.float32), (0, 0), rng.uniform(0.1, 1.2))
 
 
-def _inside(rng: Random, mask: Array) -> tuple[int, int]:
+def _inside(rng: Random, mask: Array) -> Array:
     """Draw a pixel (x, y) of a mask, mostly near its middle line."""
-    y, x = np.nonzero(mask)
-    some = rng.integers(len(y), size=6)
-    depth = cv2.distanceTransform(mask, cv2.DIST_L2, 3)[y[some], x[some]]
-    chosen = some[depth.argmax() if rng.random() < 0.85 else 0]
-    return int(x[chosen]), int(y[chosen])
+    places = rng.choice(np.argwhere(mask), 6)  # (6, 2): y, x
+    depth = cv2.distanceTransform(mask, cv2.DIST_L2, 3)[tuple(places.T)]
+    return places[depth.argmax() if rng.random() < 0.85 else 0, ::-1]
 
 
 def _largest(error: Array) -> Array:

@@ -35,7 +35,7 @@ _OF_LIGHT: Final = 0.5  # weight of squared differences of lightness: light and 
 _AT, _AROUND = 3.0, 30.0  # pixels from a click at which it falls to 1/e: the place itself, and its surroundings
 _FAR: Final = 1e4  # a squared distance in Lab above all that occur
 _FILE: Final = "click_net.onnx"
-_SHA256: Final = "cb0b37b26dbc40c6c0b1f9ae01a55aae6cb9d7a75494079e49f4e30ab40c185f"
+_SHA256: Final = "1694bbe31ad596166bcf54c875c3b973bf590545e5d10deca9dd3dc2abaf458f"
 
 
 class Clicks(NamedTuple):

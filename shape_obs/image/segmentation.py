@@ -152,10 +152,14 @@ class Expected(NamedTuple):
     Args:
         places: ``(N, 2)`` pixels in it, of the frame before and as predicted; not all of them are right.
         mask: ``(H, W)`` uint8, 0 or 1, about where its pixels should be.
+        ropes: Whether it is a rope, or several, and not a sheet or ring.
+        anywhere: Whether pieces of it may be elsewhere: some were hidden, or it is time to look again.
     """
 
     places: npt.NDArray[np.float64]
     mask: npt.NDArray[np.uint8]
+    ropes: bool
+    anywhere: bool
 
 
 class FollowingRule(Segmentation):

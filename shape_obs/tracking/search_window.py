@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 _SPARE: Final = 8  # pixels around the place where a mask is expected
 _CONTEXT: Final = 32  # pixels around the window that a rule that follows the track sees
+_TURNED: Final = 0.5  # rad by which an object may turn in a frame, about, or the share by which it may stretch
 _PLACES: Final = 24  # in an outline, about
 _RIM: Final = 7  # pixels of the square around a place in an outline that must be in it too
 
@@ -82,6 +83,7 @@ class RegionSearch:
         roi: The part of the image to search.
         shapes: The shapes that are looked for.
         found: Their tracks by name; a rule of which a shape has none is looked for everywhere.
+        everywhere: Whether to look for all of them everywhere; a rule that follows the track still gets it.
 
     Attributes:
         whole: The part of the image that the region of interest reads; what touches its edge may go on behind it.
@@ -94,6 +96,7 @@ class RegionSearch:
     roi: ROI
     shapes: InitVar[Iterable[Sought]]
     found: InitVar[Mapping[str, Track]]
+    everywhere: bool = False
     regions: dict[Segmentation | None, Region] = field(default_factory=dict)
     clouds: dict[Segmentation | None, SeenCloud] = field(default_factory=dict)
     masks: dict[Segmentation, npt.NDArray[np.uint8]] = field(default_factory=dict)
@@ -112,9 +115,9 @@ class RegionSearch:
             return self.regions[rule]
         frame, whole = self.frame, self.whole
         tracks = self.tracks.get(rule, [None])
-        expected, near = predict_search_window(tracks), None
+        expected, near = None if self.everywhere else predict_search_window(tracks), None
         if isinstance(rule, FollowingRule) and None not in tracks:
-            near = self._expected(tracks)  # also where a hand may hide more of it than is known
+            near = self._expected(tracks, expected is None)  # also where a hand may hide more of it than is known
         reach = 1 if rule is None else 1 + rule.open + rule.close
         window, width = whole, 0.0
         if expected is None and near is None:
@@ -147,16 +150,22 @@ class RegionSearch:
             self.masks[bare] = checked_mask(found, self.frame.size, rule.label)
         return self.masks[bare]
 
-    def _expected(self, tracks: Iterable[Track | None]) -> Expected:
+    def _expected(self, tracks: Iterable[Track | None], anywhere: bool) -> Expected:
         """Return where tracks expect their objects: where these were, and where they should be by now."""
         assert self.frame.size is not None
+        known = [track for track in tracks if track is not None]
         mask, places = np.zeros(self.frame.size, np.uint8), []
-        for track in filter(None, tracks):
-            for nodes in (track.nodes, track.nodes + track.interval * track.velocity):  # (K, D)
+        for track in known:
+            moved = track.nodes + track.interval * track.velocity  # (K, D)
+            before, after = (np.diff(nodes[track.topology.edges()], axis=1) for nodes in (track.nodes, moved))
+            # Nodes that drifted along the object, or whose order was reversed, show no motion of it.
+            plausible = np.linalg.norm(after - before) <= _TURNED * np.linalg.norm(before)
+            for nodes in (track.nodes, moved) if plausible else (track.nodes,):
                 if nodes.shape[1] == 3 and self.frame.camera is not None:
                     nodes = self.frame.camera.intrinsics.project(nodes)
                 places.append(draw_expected(mask, nodes, track))
-        return Expected(np.concatenate(places), mask)
+        ropes = all(isinstance(track.topology, Chain) for track in known)
+        return Expected(np.concatenate(places), mask, ropes, anywhere)
 
     def cloud(self, rule: Segmentation | None) -> SeenCloud:
         """Return the points under the region of a rule; the frame must have depth and a camera."""

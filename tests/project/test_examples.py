@@ -87,7 +87,7 @@ def test_the_training_of_the_click_network_stops_and_goes_on(tmp_path):
     for library in ("onnx", "skimage"):
         pytest.importorskip(library)
     training = EXAMPLES / "click_net" / "train.py"
-    command = [sys.executable, training, "--minutes", "0.03", "--validation", "2", "--out", tmp_path]
+    command = [sys.executable, training, "--minutes", "0.03", "--tests", "2", "--out", tmp_path]
     progress, printed = [], []
     for _ in range(2):
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
