@@ -228,9 +228,10 @@ def _ropes_at(
 
 def _parts_at(seen: Mask, expected: npt.NDArray[np.uint8]) -> Mask:
     """Return the connected parts of a mask that mostly lie where it is expected, about; all of them if none does."""
-    count, labels = cv2.connectedComponents(seen.view(np.uint8))
+    count, found = cv2.connectedComponents(seen.view(np.uint8))
+    labels = np.asarray(found, np.intp)
     near = cv2.dilate(expected, np.ones((2 * _MOTION + 1,) * 2, np.uint8)) > 0
-    area, there = (np.bincount(np.asarray(labels)[part], minlength=count) for part in (seen, seen & near))
+    area, there = (np.bincount(labels[part], minlength=count) for part in (seen, seen & near))
     mostly = there > area / 2
     return mostly[labels] if mostly.any() else seen
 

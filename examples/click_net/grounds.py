@@ -21,7 +21,7 @@ _PICTURES: Final = "astronaut brick camera chelsea coffee coins grass gravel hub
 
 def ground(rng: Random) -> Array:
     """Draw a ground ``(HEIGHT, WIDTH, 3)``, 0...255: one of a kind, or two that meet at an edge, as of a desk."""
-    under, over = rng.choice([_photo, _plain, _wood, _clutter], 2, p=(0.22, 0.45, 0.16, 0.17))
+    under, over = rng.choice(np.array([_photo, _plain, _wood, _clutter]), 2, p=(0.22, 0.45, 0.16, 0.17))
     picture = under(rng)
     if rng.random() < 0.2:
         corners = SIZE * ([[0, 0], [1, 0], [1, 1], [0, 1]] + rng.uniform(-0.45, 0.45, (4, 2)))
