@@ -33,7 +33,7 @@ PHOTOS: tuple[tuple[Kind, str], ...] = (
 
 
 def panel(kind: Kind, ground: str) -> np.ndarray:
-    """The first photo with one click enough and all in sight, the mask that it gives, and the points of the detector."""
+    """The first photo where one click is enough and all is in sight, the mask that it gives, and the points on it."""
     for seed in count():
         photo = object_photo(np.random.default_rng(seed), kind, ground)
         u, v = first_click(np.random.default_rng(0), photo)
