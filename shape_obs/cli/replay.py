@@ -128,7 +128,7 @@ def _differs(actions: int, compared: int, mean: float | None, largest: float | N
     """Return the line about the actions of the policy."""
     line = f"policy          {actions} actions"
     if compared:
-        line += f"; mean difference from {compared} recorded ones {mean:.2g} of their range, largest {largest:.2g}"
+        line += f"; {compared} recorded ones differ by {mean:.2g} of their range, at most {largest:.2g}"
     return line
 
 
