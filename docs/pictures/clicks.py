@@ -33,14 +33,15 @@ PHOTOS: tuple[tuple[Kind, str], ...] = (
 
 
 def panel(kind: Kind, ground: str) -> np.ndarray:
-    """The first photo in which one click is enough, the mask that it gives, and the points of the detector."""
+    """The first photo where one click is enough and all is in sight, the mask that it gives, and the points on it."""
     for seed in count():
         photo = object_photo(np.random.default_rng(seed), kind, ground)
         u, v = first_click(np.random.default_rng(0), photo)
         proposal = propose_segmentation(photo.rgb, [(u, v)])
         shape = Centerline(n=20) if kind in THIN else Contour(n=24)
         detection = ShapeDetector([shape], proposal.rule).detect(photo.rgb)
-        if is_right(proposal.mask, photo) and detection.ok:
+        pieces = 1 if kind in THIN else cv2.connectedComponents(proposal.mask.view(np.uint8))[0] - 1
+        if is_right(proposal.mask, photo) and detection.ok and detection.shapes[0].visible.all() and pieces == 1:
             break
     tinted = photo.rgb.copy()
     tinted[proposal.mask] = (0.5 * tinted[proposal.mask] + 0.5 * np.array(MASK)).astype(np.uint8)
