@@ -20,6 +20,8 @@ _SIGMA: Final = 0.5  # width of the map's neighbourhood, node units
 
 def moved_inside(form: FittedLattice, observed: Observed, epochs: int) -> npt.NDArray[np.float64]:
     """Return how some epochs of the map move the points of a lattice: ``(P, D)``, nothing at its border."""
+    from scipy.ndimage import map_coordinates  # takes 0.2 s to import
+
     start = form.evenly(_MAP.rows, _MAP.cols, centers=True)
     nodes = run_som(observed.gather(_CELL), start, _MAP, epochs * (_SIGMA,))
     moved = np.pad(_MAP.lattice(nodes - start), ((1, 1), (1, 1), (0, 0)))
@@ -29,6 +31,4 @@ def moved_inside(form: FittedLattice, observed: Observed, epochs: int) -> npt.ND
         knots = np.concatenate([[0.0], middles, [FINE - 1.0]])
         at.append(np.interp(np.arange(FINE), knots, np.arange(count + 2)))
     fine = np.stack(np.meshgrid(*at, indexing="ij")).reshape(2, -1)
-    from scipy.ndimage import map_coordinates  # takes 0.2 s to import
-
     return np.stack([map_coordinates(moved[..., d], fine, order=1) for d in range(moved.shape[2])], axis=1)

@@ -234,10 +234,10 @@ def _sides(branch: Branch, width: float) -> tuple[npt.NDArray[np.intp], str, boo
 
     With it why the sides may be wrong, or nothing.
     """
-    arc = arc_length(np.ascontiguousarray(branch.points))
-    steps = round(_JITTER * width * (len(arc) - 1) / max(float(arc[-1]), 1e-9))
     from scipy.ndimage import maximum_filter1d  # takes 0.2 s to import
 
+    arc = arc_length(np.ascontiguousarray(branch.points))
+    steps = round(_JITTER * width * (len(arc) - 1) / max(float(arc[-1]), 1e-9))
     relative = maximum_filter1d(branch.radius, 2 * steps + 1) / width
     side = np.ones(len(arc), np.intp)
     doubt = ""

@@ -21,12 +21,12 @@ from shape_obs.wrappers import ShapeObservation
 from shape_obs.wrappers.env_protocol import camera_model, published, seconds_per_step
 from shape_obs.wrappers.recorded_arguments import to_recorded
 
-FORMAT: Final = 1
+FORMAT: Final = 1  # of policy.yaml, higher with each change that older versions of the library cannot read
 #: Largest numbers of a configuration, so that a detector for it is built in a moment: by name, and all others.
 _MOST: Final = {"n": 1000, "rows": 100, "cols": 100, "count": 100, "harmonics": 64, "coefficients": 200,
                 "open": 255, "close": 255, "epochs": 100, "n_init": 20, "max_iter": 1000, "steps": 1000}  # fmt: skip
-_MOST_NUMBER: Final = 1e6
-_MOST_VALUES: Final = 5000
+_MOST_NUMBER: Final = 1e6  # pixels, metres and steps of any use are below
+_MOST_VALUES: Final = 5000  # some twenty times those of twenty shapes
 #: Wrappers that leave observations and actions alone.
 TRANSPARENT: Final = (
     "TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "Autoreset", "RecordEpisodeStatistics", "RecordVideo",

@@ -30,7 +30,8 @@ from shape_obs.utils.files import write_whole
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
 
-#: Largest difference from the learner's actions when a policy without images is saved, as a share of their range.
+#: Largest difference from the learner's actions when a policy without images is saved, as a share of their range:
+#: twice what the tests of all algorithms allow, since these round on one kind of processor.
 _TOLERANCE: Final = 2e-5
 _PACKAGES: Final = ("shape-obs", "stable-baselines3", "sb3-contrib", "torch", "onnx", "gymnasium", "numpy", "mujoco")
 

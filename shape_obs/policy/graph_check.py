@@ -43,8 +43,6 @@ _OPERATORS: Final = frozenset({
     "Split", "Sqrt", "Squeeze", "Sub", "Sum", "Swish", "Tan", "Tanh", "ThresholdedRelu", "Tile", "Transpose",
     "Trilu", "Unsqueeze", "Where", "Xor",
 })  # fmt: skip
-
-
 #: Kinds of an operator's attributes; others hold graphs, types or sparse tensors.
 _ATTRIBUTES: Final = frozenset({
     AttributeProto.FLOAT, AttributeProto.INT, AttributeProto.STRING, AttributeProto.TENSOR, AttributeProto.FLOATS,
@@ -142,14 +140,11 @@ def _check_cost(graph: onnx.GraphProto) -> float:
         sides = [side.dim_value if side.HasField("dim_value") else -1 for side in kind.shape.dim]
         if kind.HasField("shape") and min(sides, default=0) >= 0:
             shapes[value.name] = tuple(sides)
-    names = {name for node in graph.node for name in (*node.input, *node.output)} | {
-        value.name for value in graph.input
-    }
-    unknown = names - shapes.keys() - {""}
+    results = {value.name for value in graph.input} | {name for node in graph.node for name in node.output}
+    unknown = results.union(*(node.input for node in graph.node)) - shapes.keys() - {""}
     if unknown:
         raise PolicyError(f"the size of {min(unknown)!r:.80} is unknown before the network runs.")
     sizes = {"": 0, **{name: math.prod(shape) for name, shape in shapes.items()}}
-    results = {name for node in graph.node for name in node.output} | {value.name for value in graph.input}
     computed = sum(sizes[name] for name in results) * _ITEM_BYTES
     work = sum(_work(node, shapes, sizes) for node in graph.node)
     if computed > _MOST_COMPUTED or work > _MOST_WORK:
