@@ -8,10 +8,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from tests.golden import varied
 from tests.golden.scenes import Blob, Hand, Rope, Sheet, Thing, camera_of, draw
 from tests.golden.streams import Stream
 
-STREAMS: Final[dict[str, Callable[[], Stream]]] = {}
+STREAMS: Final[dict[str, Callable[[], Stream]]] = varied.table()
 _ABOVE: Final = np.array([[1.0, 0, 0, 0.3], [0, -1, 0, 0.1], [0, 0, -1, 0.9], [0, 0, 0, 1]])
 _HSV: Final = {"kind": "hsv", "low": [90, 60, 30], "high": [130, 255, 255]}
 _BLUE, _RED, _GREEN = (35.0, 60.0, 190.0), (200.0, 50.0, 40.0), (40.0, 160.0, 60.0)

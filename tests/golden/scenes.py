@@ -66,6 +66,7 @@ class Motion:
         wander: The amplitude of its way about there.
         tempo: Of wandering and bending, radians a second.
         turn: About the optical axis, radians a second.
+        sway: Radians by which it swings to and fro about the optical axis.
         angle: About the optical axis, at the beginning.
         tilt: About x and y.
         jump: An offset from the middle of the stream on: another object.
@@ -77,13 +78,14 @@ class Motion:
     wander: float = 0.03
     tempo: float = 2.0
     turn: float = 0.3
+    sway: float = 0.0
     angle: float = 0.0
     tilt: tuple[float, float] = (0.0, 0.0)
     jump: Triple = (0.0, 0.0, 0.0)
 
     def placed(self, points: Array, t: float, share: float) -> Array:
         """Turn points of the object's own frame, ``(..., 3)``, and move them to where it is."""
-        (a, b), c = self.tilt, self.angle + self.turn * t
+        (a, b), c = self.tilt, self.angle + self.turn * t + self.sway * np.sin(self.tempo * t)
         turned = points @ cv2.Rodrigues(np.array([0.0, 0.0, c]))[0].T
         turned = turned @ (cv2.Rodrigues(np.array([a, 0.0, 0.0]))[0] @ cv2.Rodrigues(np.array([0.0, b, 0.0]))[0]).T
         phase = np.random.default_rng(self.seed + 99).uniform(0, 2 * np.pi, 2)
@@ -94,7 +96,7 @@ class Motion:
 
 @dataclass(frozen=True, kw_only=True)
 class Rope(Motion):
-    """A rope of constant length.
+    """A rope, or a thick or tapering body.
 
     Args:
         length: In metres.
@@ -104,6 +106,10 @@ class Rope(Motion):
         pitch: How far it leaves its plane, radians.
         loop: Turns of its heading in its middle part; from about 0.8 on it crosses itself.
         lift: Metres by which its end lies nearer than its beginning.
+        taper: The radius of its end as a share of ``radius``, that of its beginning.
+        pull: Share by which its length changes, as that of a band that is pulled.
+        twist: Radians by which it turns to and fro about the line from its beginning to its end, and about the x axis.
+        held: Its beginning stays where the middle would be, as that of a body that is fixed beyond the image's border.
     """
 
     length: float = 0.42
@@ -113,6 +119,10 @@ class Rope(Motion):
     pitch: float = 0.0
     loop: float = 0.0
     lift: float = 0.0
+    taper: float = 1.0
+    pull: float = 0.0
+    twist: float = 0.0
+    held: bool = False
 
     def layer(self, t: float, share: float, camera: Intrinsics) -> Layer:
         """Draw it."""
@@ -124,9 +134,15 @@ class Rope(Motion):
             yaw = yaw + self.bend * size[k] * np.sin(np.pi * (k + 1) * s + swung)
         pitch = self.pitch * np.sin(5 * s + self.tempo * t + phase[3, 0])
         step = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], axis=1)
-        axis = np.cumsum(step, axis=0) * self.length / (ROPE_POINTS - 1)
-        axis = axis - axis.mean(axis=0) - np.outer(s - 0.5, (0, 0, self.lift))
-        seen = see(self.placed(axis, t, share), self.radius, camera, 0.0)
+        length = self.length * (1 + self.pull * np.sin(self.tempo * t + phase[3, 1]))
+        axis = np.cumsum(step, axis=0) * length / (ROPE_POINTS - 1)
+        axis = axis - (axis[0] if self.held else axis.mean(axis=0)) - np.outer(s - 0.5, (0, 0, self.lift))
+        if self.twist:
+            lengthwise = (axis[-1] - axis[0]) / np.linalg.norm(axis[-1] - axis[0])
+            for way in (lengthwise, np.array([1.0, 0.0, 0.0])):
+                axis = axis @ cv2.Rodrigues(way * self.twist * np.sin(self.tempo * t + phase[2, 1]))[0].T
+        radius = self.radius * (1 - (1 - self.taper) * s)
+        seen = see(self.placed(axis, t, share), radius, camera, 0.0)
         every = slice(None, None, 3)
         return Layer(seen.mask > 0, seen.depth, seen.pixels[every], seen.metres[every], ~seen.shown[every])
 
@@ -163,7 +179,7 @@ class Blob(Motion):
         mask = draw_blob(pixels, hole if self.hole else None, size=camera.size).mask > 0
         # The plane through the outline, on every pixel's ray.
         middle = outline.mean(axis=0)
-        normal = np.linalg.svd(outline - middle)[2][2]
+        normal = np.linalg.svd(outline - middle, full_matrices=False)[2][2]
         depth = np.where(mask, (normal @ middle) / (_rays(camera) @ normal), 0.0)
         truth, true_pixels = (inner, hole) if self.truth_hole else (outline, pixels)
         return Layer(mask, depth, true_pixels[::2], truth[::2], _outside(true_pixels[::2], camera))
@@ -255,6 +271,7 @@ def draw(
     rate: float = 30.0,
     stamps: str = "even",
     skipped: tuple[int, ...] = (),
+    pause: float = 0.0,
     gone: tuple[int, ...] = (),
     hands: tuple[Hand, ...] = (),
     depth: str = "",
@@ -283,6 +300,7 @@ def draw(
         rate: Frames a second.
         stamps: ``"even"``, ``"none"``, ``"jitter"``, or ``"stuck"``: some stand still, one runs back.
         skipped: Frames before which five were lost: the time goes on.
+        pause: Seconds without a frame in the middle of the stream.
         gone: Frames without the objects.
         hands: What comes over the objects.
         depth: ``"mm"`` for uint16, ``"m"`` for float32, ``""`` for none.
@@ -303,6 +321,7 @@ def draw(
     rng, camera = np.random.default_rng(zlib.crc32(name.encode())), camera or camera_of(size)
     step = np.full(frames, 1.0) + (rng.uniform(-0.4, 0.4, frames) if stamps == "jitter" else 0.0)
     step[list(skipped)] += 5
+    step[frames // 2] += pause * rate
     times = np.cumsum(step) / rate
     shown = {"none": np.full(frames, np.nan), "stuck": times.copy()}.get(stamps, times)
     if stamps == "stuck":

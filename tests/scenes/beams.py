@@ -68,9 +68,9 @@ def swinging_beam(
         missing = missing - 1 if missing else int(rng.integers(1, 5)) * int(rng.random() < drop)
         if not frame or not missing:
             line, canvas = axis(rate * time), np.full(_SIZE, np.inf, np.float32)
-            for k in np.flatnonzero(s <= 1 - radius[-1] / length):
-                metres = float(radius[k]) * distance / camera.fx
-                draw_balls(canvas, line[k : k + 1].copy(), np.full(1, distance), metres, camera.fx)
+            drawn = np.flatnonzero(s <= 1 - radius[-1] / length)
+            metres = radius[drawn] * distance / camera.fx
+            draw_balls(canvas, line[drawn], np.full(len(drawn), distance), metres, camera.fx)
             mask = np.isfinite(canvas).view(np.uint8) * 255
             depth = np.where(mask > 0, canvas, distance + _WALL).astype(np.float32)
             yield Beam(time, line[np.searchsorted(line[:, 1], -0.5) :], mask, depth, camera)

@@ -205,13 +205,18 @@ def d455(size: tuple[int, int], rng: np.random.Generator) -> Callable[[Depth], D
 
 
 def see(
-    axis: Array, radius: float, camera: Intrinsics, behind: float, cover: Mask | None = None, nearer: float = _NEARER
+    axis: Array,
+    radius: float | Array,
+    camera: Intrinsics,
+    behind: float,
+    cover: Mask | None = None,
+    nearer: float = _NEARER,
 ) -> Seen:
     """Draw a rope.
 
     Args:
         axis: ``(P, 3)`` metres, camera frame, from tip to tip, at equal steps.
-        radius: In metres; the tips are round.
+        radius: In metres; ``(P,)`` for a body that tapers. The tips are round.
         camera: The projection.
         behind: Depth of the wall in metres; 0 for no return.
         cover: ``(H, W)`` uint8, what hides the rope; None for nothing.
@@ -219,17 +224,19 @@ def see(
     """
     height, width = camera.height, camera.width
     pixels = camera.project(axis)
-    inset = round(radius / float(np.linalg.norm(axis[1] - axis[0])))
-    balls = resample(axis[inset : len(axis) - inset], _PIECE * radius)
-    reach = radius * camera.fx / float(balls[:, 2].min()) + 2
+    radii = np.broadcast_to(radius, len(axis)).astype(np.float64)
+    first, last = (round(float(radii[tip]) / float(np.linalg.norm(axis[1] - axis[0]))) for tip in (0, -1))
+    drawn = np.column_stack([axis, radii])[first : len(axis) - last]
+    balls = resample(drawn, _PIECE * float(radii.min()))
+    reach = float(radii.max()) * camera.fx / float(balls[:, 2].min()) + 2
     left, top = np.clip(np.floor(pixels.min(axis=0) - reach), 0, (width, height)).astype(int)
     right, bottom = np.clip(np.ceil(pixels.max(axis=0) + reach), 0, (width, height)).astype(int)
     mask, depth = np.zeros((height, width), np.uint8), np.full((height, width), behind, np.float32)
     nearer_than_axis, over = _over_axis(axis, radius), np.zeros(len(axis), bool)
     if right > left and bottom > top:
         canvas = np.full(((bottom - top) * _FINER, (right - left) * _FINER), np.inf, np.float32)
-        fine = (camera.project(balls) - (left, top) + 0.5) * _FINER - 0.5
-        draw_balls(canvas, np.ascontiguousarray(fine), np.ascontiguousarray(balls[:, 2]), radius, camera.fx * _FINER)
+        fine = (camera.project(balls[:, :3]) - (left, top) + 0.5) * _FINER - 0.5
+        draw_balls(canvas, fine, balls[:, 2].copy(), balls[:, 3].copy(), camera.fx * _FINER)
         size = right - left, bottom - top
         share = cv2.resize(np.isfinite(canvas).view(np.uint8) * 255, size, interpolation=cv2.INTER_AREA)
         blocks = canvas.reshape(bottom - top, _FINER, right - left, _FINER)
@@ -254,29 +261,29 @@ def see(
     return Seen(pixels, surface, shown, mask, depth, camera)
 
 
-def _over_axis(axis: Array, radius: float) -> Array:
+def _over_axis(axis: Array, radius: float | Array) -> Array:
     """Return ``(P,)`` how much nearer than its axis a tube's surface lies on each viewing ray, metres."""
     along = np.gradient(axis, axis=0)
     cosine = np.sum(along * axis, axis=1) / (np.linalg.norm(along, axis=1) * np.linalg.norm(axis, axis=1))
     return np.minimum(radius / np.sqrt(np.maximum(1 - cosine**2, 1e-9)), _LONGEST * radius)
 
 
-@compiled("(f4[:,::1], f8[:,::1], f8[::1], f8, f8)")
-def draw_balls(canvas: Depth, places: Array, z: Array, radius: float, focal: float) -> None:
+@compiled("(f4[:,::1], f8[:,::1], f8[::1], f8[::1], f8)")
+def draw_balls(canvas: Depth, places: Array, z: Array, radius: Array, focal: float) -> None:
     """Draw balls into an image of depth, in place; the nearest counts.
 
     Args:
         canvas: ``(H, W)`` metres.
         places: ``(B, 2)`` their centres, pixels.
         z: ``(B,)`` their depth, metres.
-        radius: In metres.
+        radius: ``(B,)`` metres.
         focal: Focal length, pixels.
     """
     height, width = canvas.shape
     for b in range(len(places)):
-        x, y, reach = places[b, 0], places[b, 1], radius * focal / z[b]
+        x, y, reach = places[b, 0], places[b, 1], radius[b] * focal / z[b]
         for v in range(max(math.ceil(y - reach), 0), min(math.floor(y + reach), height - 1) + 1):
             for u in range(max(math.ceil(x - reach), 0), min(math.floor(x + reach), width - 1) + 1):
                 square = 1 - ((u - x) ** 2 + (v - y) ** 2) / reach**2
                 if square >= 0:
-                    canvas[v, u] = min(canvas[v, u], z[b] - radius * math.sqrt(square))
+                    canvas[v, u] = min(canvas[v, u], z[b] - radius[b] * math.sqrt(square))

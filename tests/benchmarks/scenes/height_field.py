@@ -60,7 +60,7 @@ class HeightField:
             balls = resample(axis[inset : len(axis) - inset], _PIECE * width)
             canvas = np.full(surface.height.shape, np.inf, np.float32)
             places = np.ascontiguousarray((balls[:, :2] + 0.5) * FINER - 0.5)
-            draw_balls(canvas, places, _FAR - FINER * balls[:, 2], FINER * width / 2, _FAR)
+            draw_balls(canvas, places, _FAR - FINER * balls[:, 2], np.full(len(balls), FINER * width / 2), _FAR)
             top = (_FAR - canvas) / FINER
             on = top > surface.height
             surface.height[on], surface.owner[on] = top[on], index
