@@ -148,7 +148,7 @@ class Tracker:
         if not found.reason:
             if spec.order == "image":
                 seen = observed.seen(found.form.points, target)
-                found = found._replace(form=spec.apply_index_order(found.form, seen, target), laid=None)
+                found = found._replace(form=spec.apply_index_order(found.form, seen, target))
             if isinstance(self._config.clustering, Clusterer):
                 from shape_obs.configurations.cluster_assignment import assign_centres  # the map needs none
 

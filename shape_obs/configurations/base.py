@@ -20,7 +20,6 @@ from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.initialization.objects import SceneObject, find_components
 from shape_obs.spec import Spec, did_you_mean
-from shape_obs.tracking.belief import Shares, known_layout
 from shape_obs.tracking.prediction import Fit, Prediction
 from shape_obs.utils.lengths import warn_unless_metres
 
@@ -38,23 +37,9 @@ Anchor: TypeAlias = Place | Mapping[str, Place] | None
 Count = int | Literal["all"] | None
 Array = npt.NDArray[np.float64]
 Own = tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], int, int, int]
-Where = tuple[
-    DepthImages,
-    npt.NDArray[np.uint8],
-    tuple[int, int],
-    float,
-    Array,
-    float,
-    npt.NDArray[np.int64],
-    int,
-    Shares,
-    int,
-    float,
-]
 Around = tuple[DepthImages, tuple[int, int, int, int], tuple[float, float, float, float]]
 
 MOST_SLOTS: Final = 16
-_NO_LENS = np.zeros(0)
 
 
 class Scene(NamedTuple):
@@ -200,19 +185,6 @@ class Configuration(Spec, family="configuration", modules=_MODULES):
         else:
             return
         raise ValueError(f"shape {self.name!r}: {asked} needs depth and a camera; give both, or {instead}.")
-
-    def where(self, region: Region, width: float, scene: Scene) -> Where:
-        """Return what ``seen_points`` takes of an object in an image: of the frame, the object and its points.
-
-        Args:
-            region: Its mask.
-            width: Of the object, pixels.
-            scene: Depth and camera.
-        """
-        camera = scene.intrinsics
-        lens, columns = (_NO_LENS, 0) if camera is None else (camera.lens, camera.width)
-        image = scene.images, region.mask, region.window[:2], width, lens
-        return *image, self.radius, *known_layout(self.layout), columns, scene.diagonal
 
     @property
     def compiled_functions(self) -> tuple[Any, ...]:

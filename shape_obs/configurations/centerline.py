@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from shape_obs.clustering.som import batch_epochs, run_som
 from shape_obs.configurations.base import Configuration, Ends, Points, Scene
-from shape_obs.configurations.chain_points import Asked, follow_chain_in_mask, nodes_along, points_along
+from shape_obs.configurations.chain_points import follow_chain_in_mask, nodes_along, points_along
 from shape_obs.geometry.curve import FittedCurve, Length, TrackHints, local_stretch
 from shape_obs.geometry.intersections import crossing_table
 from shape_obs.geometry.observed import Observed
@@ -140,13 +140,11 @@ class Centerline(Configuration, kind="centerline"):
         curve: FittedCurve = found.form
         if _begins_again(curve, prediction):
             curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
-            found = found._replace(laid=None)
         topology = found.topology if prediction is None else prediction.topology
         assert found.nodes is not None
         count = len(found.nodes if prediction is None else prediction.nodes)
-        along = found.laid and found.laid[0]
-        nodes, relief, steep = along or nodes_along(curve.points, curve.arc, *_measures(curve), count)
-        size, hidden = float(curve.arc[-1]), curve.unsupported_fraction if found.laid is None else 0.0
+        nodes, relief, steep = nodes_along(curve.points, curve.arc, *_measures(curve), count)
+        size, hidden = float(curve.arc[-1]), curve.unsupported_fraction
         seen_width = max(observed.area / max(size * (1 - hidden), 1e-9), 1.0) if observed.dimension == 2 else 0.0
         reason, follow = self._reason_of(curve, 1 - hidden), 1 - hidden >= _MIN_FOLLOWED
         if not reason and steep > _END_ON:
@@ -199,14 +197,14 @@ class Centerline(Configuration, kind="centerline"):
         scene: Scene,
     ) -> Fit:
         """Run the self-organising map from a start, finish the curve, match it to the track, validate it."""
-        topology, found, laid = Chain(len(start)), None, None
+        topology, found = Chain(len(start)), None
         if isinstance(observed, Region):
             cell = max(int(min(width / 3, _MAX_CELL)), math.isqrt(observed.area // _MAX_CELLS), 1)  # thin ropes keep it
             deep = _NOTHING if relief is None or scene.intrinsics is None else relief
-            drawn, found, laid = follow_chain_in_mask(
+            lens = _NOTHING if scene.intrinsics is None else scene.intrinsics.lens
+            drawn, found = follow_chain_in_mask(
                 observed.runs, start, deep, *_epochs(sigmas), cell, (scene.edge or _EVERYWHERE)[:4],
-                *known_rope(prediction, width), Asked(self.n, self.ends == "tips", self.spacing == "m"),
-                *self.where(observed, width, scene),
+                *known_rope(prediction, width), observed.mask, observed.window[:2], width, scene.images, lens,
             )  # fmt: skip
             points, arc, off, metres, deep, spread, ends, shapes = drawn
             lifted = (metres, None, deep) if len(metres) else (None, None, None)
@@ -235,8 +233,7 @@ class Centerline(Configuration, kind="centerline"):
             reason = f"the curve is {1 / stretch - 1:.0%} longer than the rope"
         if curve.ambiguity and not _begins_again(curve, prediction):
             reason = reason or curve.ambiguity
-        laid = laid if laid is not None and len(laid[0][0]) else None
-        return Fit(curve, quality, reason, start, topology, observed=observed, object_width=width, laid=laid)
+        return Fit(curve, quality, reason, start, topology, observed=observed, object_width=width)
 
     def apply_index_order(self, form: FittedCurve, seen: Array, target: Array | None) -> FittedCurve:
         """Return the curve with point 0 at the end nearest the target, else nearest the top left."""

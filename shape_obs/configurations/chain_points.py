@@ -1,19 +1,17 @@
-"""A rope in a mask, from its pixels to its points: all that a tracked frame needs, in one compiled call."""
+"""A rope in a mask: fitted and matched to what is known of it in one compiled call; points and nodes along it."""
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.configurations.chain_in_mask import Drawn, fit_chain_in_mask
-from shape_obs.configurations.points_in_image import WHERE_TYPES, Seen, nothing_seen, seen_points
-from shape_obs.frame import DepthImages
+from shape_obs.frame import DEPTH_TYPE, DepthImages
 from shape_obs.geometry.curve import Length, local_stretch, nearest_along, with_relief
 from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, equal_chords, even_points, interpolate
-from shape_obs.tracking.belief import Shares
 from shape_obs.tracking.rope_match import Found, RopeBelief, match_to_rope
 
 Array = npt.NDArray[np.float64]
@@ -24,60 +22,26 @@ Flags = npt.NDArray[np.bool_]
 _NEAR: Final = 0.04  # of its length: so near to a piece that is seen end-on points are off
 
 
-class Asked(NamedTuple):
-    """What is asked of a rope's points, as compiled code takes it.
-
-    Args:
-        n: How many points.
-        tips: Whether the first and the last lie at the ends.
-        in_metres: Whether gaps are to be equal in space.
-    """
-
-    n: int
-    tips: bool
-    in_metres: bool
-
-
-#: What ``nodes_along`` and ``seen_points`` return.
-Laid = tuple[tuple[Array, Array, float], Seen]
-
-
 @compiled(
     "(i8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, i8, UniTuple(i8, 4), RopeBelief, Length, f8[:,::1], f8[::1], "
-    "f8[:,:,::1], Asked, " + WHERE_TYPES + ")"
+    "f8[:,:,::1], u1[:,::1], UniTuple(i8, 2), f8, " + DEPTH_TYPE + ", f8[::1])"
 )
 def follow_chain_in_mask(
     runs: Indices, start: Array, relief: Array, sigmas: Array, pull: float, cell: int,
     edge: tuple[int, int, int, int], belief: RopeBelief, known: Length, nodes: Array, node_relief: Array, own: Array,
-    asked: Asked, depth: DepthImages, mask: Mask, at: tuple[int, int], width: float, lens: Array, radius: float,
-    edges: Indices, across: int, shares: Shares, columns: int, diagonal: float,
-) -> tuple[Drawn, Found, Laid]:  # fmt: skip
-    """Fit the curve of a rope in a mask, find out which piece of the rope it is, and lay points on a whole one.
+    mask: Mask, at: tuple[int, int], width: float, depth: DepthImages, lens: Array,
+) -> tuple[Drawn, Found]:  # fmt: skip
+    """Fit the curve of a rope in a mask, and find out which piece of the rope it is.
 
     Returns:
         What ``fit_chain_in_mask`` and ``match_to_rope`` return, where the arguments are described too; nothing is
-        matched to a rope of unknown length. What ``nodes_along`` and ``seen_points`` return, empty if a part of the
-        rope is hidden or bridged: then its curve is completed first.
+        matched to a rope of unknown length.
     """
     drawn = fit_chain_in_mask(runs, mask, at, start, relief, sigmas, pull, cell, width, depth, lens, edge)
     curve, arc, off, metres, deep, _, ends, shapes = drawn
-    found = match_to_rope(curve, arc, off, metres, deep, ends, shapes, belief, known, nodes, node_relief, own, False)
-    (match, stations, _, _), none = found, arc[:0]
-    hidden = not match.clear or match.length <= 0 or match.head + match.tail > 0 or off.any()
-    if hidden or (len(lens) > 0 and len(deep) == 0):
-        return drawn, found, ((curve[:0], none, 0.0), nothing_seen())
-    stations = stations if len(metres) > 0 else none
-    track = nodes_along(curve, arc, stations, none, deep, len(nodes))
-    points, _, _, under, steep = points_along(
-        curve, arc, curve, arc, stations, none, deep, off, asked.n, asked.tips, asked.in_metres, width / 2
+    return drawn, match_to_rope(
+        curve, arc, off, metres, deep, ends, shapes, belief, known, nodes, node_relief, own, False
     )
-    if len(deep) == 0:
-        under, steep = none, none
-    seen = seen_points(
-        points, under, steep, True, arc[-1], depth, mask, at, width, lens, radius, edges, across, shares, columns,
-        diagonal,
-    )  # fmt: skip
-    return drawn, found, (track, seen)
 
 
 @compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], f8[::1], f8[::1], b1[::1], i8, b1, b1, f8)")

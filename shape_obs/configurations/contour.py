@@ -16,9 +16,9 @@ from shape_obs.configurations.flat_in_mask import (
     PIECES,
     SIGMA,
     fit_ring_in_mask,
+    points_around,
     see_outline,
 )
-from shape_obs.configurations.flat_points import follow_ring, points_around
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.observed import Observed, Samples
 from shape_obs.geometry.outline import SAMPLED, clockwise, enclosed_by, material_outline
@@ -117,10 +117,7 @@ class Contour(Configuration, kind="contour"):
             return None
         if covered or width < _MIN_WIDTH * SAMPLED or known is None or (known.shape[1] == 3) != (len(space) > 0):
             return None
-        followed, seen = follow_ring(
-            curve, space, known, nodes, self.n, self.spacing == "m", *self.where(region, width, scene)
-        )
-        curve, space, arc, nodes, known, turning, doubtful = followed
+        curve, space, arc, nodes, known, turning, doubtful = follow_outline(curve, space, known, nodes)
         reason, quality = validate_outline(region, miss)
         size = arc.item(len(arc) - 1)
         if doubtful or reason or abs(size / prediction.size - 1) > MAX_SIZE_CHANGE:
@@ -129,7 +126,7 @@ class Contour(Configuration, kind="contour"):
             curve, np.zeros(len(curve), bool), arc, True, space=space if len(space) else None,
             hints=TrackHints(reference=known, turning=turning),
         )  # fmt: skip
-        return Fit(form, quality, "", nodes, prediction.topology, size, width, region, width, laid=(None, seen))
+        return Fit(form, quality, "", nodes, prediction.topology, size, width, region, width)
 
     def _track(
         self, observed: Observed, start: Array, prediction: Prediction, scene: Scene
@@ -242,7 +239,7 @@ class Contour(Configuration, kind="contour"):
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
         masks = see_outline, follow_outline, fit_ring_in_mask, enclosed_by, rim_depth, points_around, renumber_outline
-        masks += follow_ring, begin_outline, hidden_pieces, nearest_places, trace_hole, material_outline
+        masks += begin_outline, hidden_pieces, nearest_places, trace_hole, material_outline
         masks += index_shift_space, blend_space
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, undo_shrinkage
         return masks + clouds

@@ -13,7 +13,7 @@ from shape_obs.frame import DEPTH_TYPE, DepthImages
 from shape_obs.geometry.coons import FINE, RIM, border_of, coons_patch, side_lengths
 from shape_obs.geometry.lattice import assess_lattice, lattice_gauges, sample_lattice
 from shape_obs.geometry.outline import SAMPLED, enclosed_by, material_outline, pairs
-from shape_obs.geometry.polyline import arc_length, catmull_rom, closed, interpolate
+from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, catmull_rom, closed, equal_chords, interpolate
 from shape_obs.image.connected_runs import near_mask
 from shape_obs.image.outline_tracing import trace_largest
 from shape_obs.initialization.corners import nearest_corners, rim_of
@@ -98,6 +98,14 @@ def see_outline(
     curve, miss = fit_ring_in_mask(traced, False, start, count)
     z, cut = rim_depth(depth, edge, mask, left, top, curve, width)
     return curve, lifted(curve, z, camera), bool(cut.any()), miss, width, enclosed_by(traced)
+
+
+@compiled("(f8[:,::1], f8[::1], f8[:,::1], i8)")
+def points_around(points: Array, arc: Array, metric: Array, count: int) -> Array:
+    """Return ``count`` points of a closed curve with equal chords in a metric, from its first point."""
+    around = closed(metric)
+    places, _ = equal_chords(closed(points), arc, around, arc_length(around), count + 1, 0.0, MAX_SHIFT_AROUND)
+    return places[:count]
 
 
 @compiled("(u1[:,::1], i8[:,::1], i8, i8, i8, " + DEPTH_TYPE + ", UniTuple(i8, 4), UniTuple(f8, 4))")

@@ -7,17 +7,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import Intrinsics, viewing_rays
+from shape_obs.camera import Intrinsics
 from shape_obs.configurations.base import Configuration, Points
-from shape_obs.configurations.points_in_image import lift_points
+from shape_obs.configurations.points_in_image import Seen, seen_points
 from shape_obs.frame import Frame
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.lattice import FittedLattice
 from shape_obs.geometry.topology import Grid
 from shape_obs.point_cloud.lifting import form_depth, lift_form
-from shape_obs.point_cloud.local_depth import median_depth
 from shape_obs.shape import Shape
-from shape_obs.tracking.belief import error_on_sheet, expected_error, point_errors, stereo_noise
+from shape_obs.tracking.belief import error_on_sheet, errors_in_cloud, known_layout, point_errors
 from shape_obs.tracking.missing import OnInvalid, fill_invalid
 from shape_obs.tracking.occlusion import shown
 from shape_obs.tracking.prediction import Fit
@@ -33,6 +32,7 @@ Mask = npt.NDArray[np.bool_]
 # What is fitted to the visible half of a round rope lies this share of a radius in front of its axis.
 _HALF_ROUND: Final = np.pi / 4
 _NOTHING: Final = np.zeros(0)
+_NO_FLAGS: Final = np.zeros(0, bool)
 _SMOOTH: Final = 3.0  # points of the fine curve, over which its direction is taken
 
 
@@ -50,19 +50,11 @@ def shape_of(
         diagonal: Of the image, pixels: the bound of ``sigma`` in pixels.
     """
     camera = None if frame.camera is None else frame.camera.intrinsics
-    seen = found.laid[1] if found.laid is not None and found.centres is None else ()
-    if seen and len(seen[0]):
-        points2d, points3d, visible, valid, sigma = seen
+    if found.observed.dimension == 2:
+        points2d, points3d, visible, valid, sigma = _points_in_image(spec, found, frame, diagonal)
         points3d = points3d if len(points3d) else None
     else:
-        in_image = found.observed.dimension == 2
-        points2d, points3d, visible, valid, off = (_points_in_image if in_image else _points_in_cloud)(
-            spec, found, frame
-        )
-        sigma = expected_error(
-            points2d, points3d, visible, valid, spec.layout, size=found.size, resolution=found.observed.resolution,
-            in_image=in_image, camera=camera, diagonal=diagonal, off=off,
-        )  # fmt: skip
+        points2d, points3d, visible, valid, sigma = _points_in_cloud(spec, found, camera)
     known = int(np.count_nonzero(valid))
     reason = _doubt(spec, found, points2d, points3d, valid if known else None, camera)
     if points3d is not None and known < len(valid):
@@ -99,75 +91,46 @@ def _doubt(
     return validate_gaps(points3d.astype(np.float64), valid, spec.layout, error)
 
 
-# Pixels, points in space (those that were not seen where the form puts them), visible, valid, ``Points.off``.
-_Parts = tuple[npt.NDArray[np.float32] | None, npt.NDArray[np.float32] | None, Mask, Mask, Array | None]
-
-
 def _is_metric_curve(found: Fit) -> bool:
     """Return whether the size of a form is a length in metres."""
     return found.observed.dimension == 3 and isinstance(found.form, FittedCurve)
 
 
-def _points_in_image(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
+def _points_in_image(spec: Configuration, found: Fit, frame: Frame, diagonal: float) -> Seen:
     """Return points in pixels with the depth under them; where there is none, with their neighbours' depth."""
     region: Region = found.observed
-    form, depth, camera, width = found.form, frame.depth, frame.camera, found.object_width
-    metric, under, in_pieces, measured = form, None, False, False
-    if isinstance(form, FittedCurve):
-        in_pieces = bool(form.interpolated[shown(form) if any(form.hints.hidden) else slice(None)].any())
-        measured = form.metres is not None or form.space is not None
-    uneven = spec.spacing == "m" and not measured
-    if depth is not None and camera is not None and (uneven or in_pieces):
-        under = form_depth(form, depth, region, width)
-        lifted = lift_form(form, under, camera.intrinsics) if uneven else None
-        metric = form if lifted is None else form.with_points(lifted)
-    placed = spec.resample(form, metric) if found.centres is None else _without_gaps(found.centres)
-    points, interpolated, at, relief, steep, off = placed
-    if depth is None or camera is None:
-        visible = region.carries(points) & ~interpolated
-        return points.astype(np.float32), None, visible, visible.copy(), None
-    if isinstance(form, FittedCurve) and form.relief is not None and relief is None:  # the points are a clusterer's
+    form, depth, width = found.form, frame.depth, found.object_width
+    camera = None if depth is None or frame.camera is None else frame.camera.intrinsics
+    metric, under = form, None
+    if depth is not None and camera is not None:
+        curve = form if isinstance(form, FittedCurve) else None
+        in_pieces = curve is not None and not curve.whole and bool(curve.interpolated[shown(curve)].any())
+        uneven = spec.spacing == "m" and (curve is None or (curve.metres is None and curve.space is None))
+        if uneven or in_pieces:
+            under = form_depth(form, depth, region, width)
+            lifted = lift_form(form, under, camera) if uneven else None
+            metric = form if lifted is None else form.with_points(lifted)
+        under = under if in_pieces else None
+    points, interpolated, at, relief, steep, off = (
+        spec.resample(form, metric) if found.centres is None else _without_gaps(found.centres)
+    )
+    if isinstance(form, FittedCurve) and at is None and (form.relief is not None or under is not None):
         at = _nearest(points, form.points)
-        relief, steep = form.relief[at], form.steepness(width / 2)[at]
-    own, rope = _NOTHING if relief is None else relief, isinstance(form, FittedCurve) and not form.closed
-    pixels, points3d, z, visible, valid = lift_points(
-        points, interpolated, own, _NOTHING if steep is None else steep, frame.images, region.mask,
-        region.window[:2], width, camera.intrinsics.lens, spec.radius, rope,
+        if form.relief is not None:  # the points are a clusterer's
+            relief, steep = form.relief[at], form.steepness(width / 2)[at]
+    # Next to what hides a piece, depth that is not the form's is not the points' either.
+    foreign = _NO_FLAGS if under is None else np.isnan(under)[at]
+    lens, columns = (_NOTHING, 0) if camera is None else (camera.lens, camera.width)
+    return seen_points(
+        points, interpolated, _NOTHING if relief is None else relief, _NOTHING if steep is None else steep, foreign,
+        _NOTHING if off is None else off, found.size, frame.images, region.mask, region.window[:2], width, lens,
+        spec.radius, *known_layout(spec.layout), columns, diagonal,
     )  # fmt: skip
-    if in_pieces and under is not None:
-        # Next to what hides a piece, depth that is not the form's is not the points' either.
-        unknown = np.isnan(under)[_nearest(points, form.points) if at is None else at]
-        z[unknown] = np.nan
-        valid &= ~unknown
-    if relief is None and np.count_nonzero(valid) < len(valid):
-        # What is in doubt on a sheet still has its own depth; next to a curve it may be that of what lies over it.
-        known = valid if isinstance(form, FittedCurve) else np.isfinite(z)
-        if known.any():
-            z = spec.layout.interpolate(z[:, None], known)[:, 0]
-        points3d = _lift(points, z, camera.intrinsics, spec.radius).astype(np.float32)
-        valid &= np.isfinite(points3d).all(axis=1)  # the lens may have no ray there
-    return pixels, points3d, visible, valid, off
 
 
-def _lift(points: Array, z: Array, intrinsics: Intrinsics, radius: float) -> Array:
-    """Return points on the object: the visible surface, or with ``radius`` the axis behind it.
-
-    Args:
-        points: ``(N, 2)`` pixels.
-        z: ``(N,)`` in metres, NaN where unknown.
-        intrinsics: The projection.
-        radius: Metres from the surface to the axis along the viewing ray; 0 stays on the surface.
-
-    Returns:
-        ``(N, 3)`` in metres, camera frame; NaN where unknown.
-    """
-    rays = intrinsics.rays(points)
-    if radius:
-        z = z + radius / np.linalg.norm(rays, axis=1)
-    return rays * z[:, None]
-
-
-def _points_in_cloud(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
+def _points_in_cloud(
+    spec: Configuration, found: Fit, camera: Intrinsics | None
+) -> tuple[npt.NDArray[np.float32] | None, npt.NDArray[np.float32], Mask, Mask, npt.NDArray[np.float32]]:
     """Return the fitted points themselves, of a curve moved to the axis; pixels are their projection."""
     cloud: Cloud = found.observed
     form, centres = found.form, found.centres
@@ -178,9 +141,9 @@ def _points_in_cloud(spec: Configuration, found: Fit, frame: Frame) -> _Parts:
         form = form.with_points(form.points + shift)
     points, interpolated, *_, off = spec.resample(form, form) if centres is None else _without_gaps(centres)
     visible = cloud.carries(points) & ~interpolated
-    pixels = cloud.pixels_of(points)
-    points2d = None if pixels is None else pixels.astype(np.float32)
-    return points2d, points.astype(np.float32), visible, visible & cloud.near(points), off
+    valid, pixels, points3d = visible & cloud.near(points), cloud.pixels_of(points), points.astype(np.float32)
+    sigma = errors_in_cloud(points3d, visible, valid, spec.layout, found.size, cloud.resolution, camera, off)
+    return None if pixels is None else pixels.astype(np.float32), points3d, visible, valid, sigma
 
 
 def _without_gaps(centres: Array) -> Points:
@@ -204,4 +167,4 @@ def _inwards(curve: FittedCurve) -> Array:
     return across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
 
 
-SHAPE_FUNCTIONS: Final = lift_points, median_depth, viewing_rays, point_errors, stereo_noise
+SHAPE_FUNCTIONS: Final = seen_points, point_errors

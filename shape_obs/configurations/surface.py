@@ -22,7 +22,6 @@ from shape_obs.configurations.flat_in_mask import (
     lay_sheet,
     view_sheet,
 )
-from shape_obs.configurations.flat_points import sheet_points
 from shape_obs.configurations.sheet_map import moved_inside
 from shape_obs.geometry.coons import FINE, SIDE, beneath_fold, blend_sides, border_of, side_lengths
 from shape_obs.geometry.curve import TrackHints
@@ -133,8 +132,7 @@ class Surface(Configuration, kind="surface"):
         uncertain, share = isometry.verdict()
         flags = form.interpolated | isometry.uncertain
         form = replace(form, interpolated=flags, off=isometry.off, ambiguity=uncertain)
-        found = found._replace(form=form, quality=found.quality * share, reason="" if tracked else uncertain)
-        return found._replace(laid=None) if isometry.off.any() else found
+        return found._replace(form=form, quality=found.quality * share, reason="" if tracked else uncertain)
 
     def _track(self, view: SheetView, prediction: Prediction, scene: Scene) -> Fit:
         """Fit a sheet in an image: as a whole if nothing hides its border, else with its border put back."""
@@ -185,12 +183,7 @@ class Surface(Configuration, kind="surface"):
             measures = assess_lattice(flattened(patch).reshape(FINE, FINE, 2))
         corner = (0, 0.0) if metric and not buckled else (number, stray)  # in space the lengths of the sides say more
         verdict = validate_sheet(off, measures, Region.noun, math.degrees(kink), corner, self.freedom)
-        found = self._finish(view, lattice, (down, right), hints, verdict, hidden)
-        uneven = self.epochs or (self.spacing == "m" and scene.intrinsics is not None) or not found.form.whole
-        if prediction is None or found.reason or uneven:
-            return found
-        asked = lattice, down, right, self.rows, self.cols, self.ends != "tips"
-        return found._replace(laid=(None, sheet_points(*asked, *self.where(view.region, view.width, scene))))
+        return self._finish(view, lattice, (down, right), hints, verdict, hidden)
 
     def _fit_hidden(self, view: SheetView, prediction: Prediction, scene: Scene) -> Fit:
         """Lay the patch between sides of which a part is hidden and put back."""
@@ -305,7 +298,7 @@ class Surface(Configuration, kind="surface"):
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
         maps = (batch_epochs, gather_cells, undo_shrinkage) if self.epochs else ()
-        return SHEET_FUNCTIONS + ISOMETRY_FUNCTIONS + (sheet_points, uneven_places, blend_sides, fill_lattice) + maps
+        return SHEET_FUNCTIONS + ISOMETRY_FUNCTIONS + (uneven_places, blend_sides, fill_lattice) + maps
 
 
 def _corners(nodes: Array) -> Array:

@@ -64,58 +64,35 @@ _NATIVE: Final = 640  # columns; an image with fewer is one of this width that w
 _NO_PIXELS: Final = np.zeros((0, 2), np.float32)
 
 
-def expected_error(
-    points2d: Points | None,
-    points3d: Points | None,
-    visible: Mask,
-    valid: Mask,
-    layout: Topology,
-    *,
-    size: float,
-    resolution: float,
-    in_image: bool,
-    camera: Intrinsics | None,
-    diagonal: float,
-    off: Array | None = None,
-) -> npt.NDArray[np.float32]:
-    """Return the RMS error per axis that is expected of each point.
-
-    Across the line of sight a point errs by the fit's residual, which is stretched along an object that is seen aslant,
-    and by a share of its distance from what is visible. Along it, by the noise of depth and by a share of its distance
-    from what was measured. In space the three axes are averaged. A sheet's gaps are equal in space: where those of a
-    lattice differ, its points are off.
+def errors_in_cloud(
+    points: Points, visible: Mask, valid: Mask, layout: Topology, size: float, resolution: float,
+    camera: Intrinsics | None, off: Array | None,
+) -> npt.NDArray[np.float32]:  # fmt: skip
+    """Return the RMS error per axis that is expected of each point of a shape in a cloud, see ``point_errors``.
 
     Args:
-        points2d: ``(N, 2)`` pixels; None for a cloud without a camera.
-        points3d: ``(N, 3)`` metres, camera frame; those that were not measured where they are expected; None without
-            depth.
+        points: ``(N, 3)`` metres.
         visible: ``(N,)`` bool.
         valid: ``(N,)`` bool.
         layout: How the points are connected.
-        size: Of the form that was fitted, see ``FittedForm.size``, pixels or metres.
-        resolution: Of what it was fitted to: a pixel, or the distance of a cloud's points, in the same unit.
-        in_image: Whether it was fitted in an image.
+        size: Of the form that was fitted, metres.
+        resolution: The distance of the cloud's points, metres.
         camera: The projection; None if there is none.
-        diagonal: Of the image, pixels: the bound of errors in pixels.
         off: ``(N,)`` metres by which points of a sheet may be off within it, see ``Isometry``; None without depth.
 
     Returns:
-        ``(N,)`` float32, metres or, without ``points3d``, pixels; finite, at most the bound, which also stands where a
-        point is not a number.
+        ``(N,)`` float32 metres; finite, at most ``MAX_SIGMA``, which also stands where a point is not a number.
     """
-    shares = _SHARES.get(type(layout), _IN_CLOUDS) if in_image else _IN_CLOUDS
-    places = points2d if points3d is None else points3d
-    assert places is not None
-    residual = math.hypot(shares.resolution * resolution, shares.size * size)
-    focal = noise = 0.0
-    if points3d is not None and camera is not None:
+    shares, focal, noise = _IN_CLOUDS, 0.0, 0.0
+    if camera is not None:
         focal = (camera.fx + camera.fy) / 2
         noise = shares.depth * stereo_noise(focal, camera.width)
     edges, across, _ = known_layout(layout)
-    pixels = points2d if in_image and focal and points2d is not None else _NO_PIXELS
-    bound = diagonal if points3d is None else MAX_SIGMA
-    fitted = point_errors(places, pixels, visible, valid, edges, across, residual, shares.aslant, focal, noise, bound)
-    return fitted if off is None else _bounded(np.hypot(fitted, off / math.sqrt(3)), bound)
+    residual = math.hypot(shares.resolution * resolution, shares.size * size)
+    fitted = point_errors(
+        points, _NO_PIXELS, visible, valid, edges, across, residual, shares.aslant, focal, noise, MAX_SIGMA
+    )
+    return fitted if off is None else _bounded(np.hypot(fitted, off / math.sqrt(3)), MAX_SIGMA)
 
 
 def error_on_sheet(z: float, camera: Intrinsics) -> float:
@@ -145,10 +122,15 @@ def point_errors(
     noise: float,
     bound: float,
 ) -> npt.NDArray[np.float32]:
-    """Return the RMS errors of ``expected_error``.
+    """Return the RMS error per axis that is expected of each point, ``(N,)``; finite, at most the bound.
+
+    Across the line of sight a point errs by the fit's residual, which is stretched along an object that is seen aslant,
+    and by a share of its distance from what is visible. Along it, by the noise of depth and by a share of its distance
+    from what was measured. In space the three axes are averaged. A sheet's gaps are equal in space: where those of a
+    lattice differ, its points are off.
 
     Args:
-        places: ``(N, D)``.
+        places: ``(N, D)`` pixels or metres; those that were not measured where they are expected.
         pixels: ``(N, 2)``; ``(0, 2)`` if ``residual`` is in the unit of the places.
         visible: ``(N,)``.
         valid: ``(N,)``.

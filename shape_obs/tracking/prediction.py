@@ -45,7 +45,6 @@ class Fit(NamedTuple):
         new: Whether the numbering begins again, though there was a track: the object is another one.
         track_id: The number of the track that the form belongs to.
         relief: ``(K,)`` depth at the nodes of a chain in an image, see ``FittedCurve.relief``; None without depth.
-        laid: The track's nodes on the form, and the shape's points as ``seen_points`` returns them, if they are laid.
     """
 
     form: Any = None
@@ -63,7 +62,6 @@ class Fit(NamedTuple):
     new: bool = False
     track_id: int = 0
     relief: Array | None = None
-    laid: tuple[Any, tuple[Any, ...]] | None = None
 
 
 class Track(NamedTuple):

@@ -10,20 +10,22 @@ import pytest
 from shape_obs import Centerline, Intrinsics, ShapeDetector
 from shape_obs.bench.scenes import resample
 from shape_obs.geometry.topology import Chain, Grid
-from shape_obs.tracking.belief import MAX_SIGMA, expected_error, stereo_noise
+from shape_obs.tracking.belief import MAX_SIGMA, known_layout, point_errors, stereo_noise
 from tests.scenes.ropes import random_rope
 
 CAMERA = Intrinsics(1280, 720, 636.0, 636.0, 639.5, 359.5)
 
 
-def expected(points3d, layout, visible=None, valid=None, camera=CAMERA, pixels=None):
-    """The errors of points in front of a camera that were fitted in its image."""
-    everything = np.ones(len(points3d), bool)
-    points2d = camera.project(np.asarray(points3d, np.float64)) if pixels is None else pixels
-    visible = everything if visible is None else visible
-    valid = visible if valid is None else valid
-    what: Any = {"size": 300.0, "resolution": 1.0, "in_image": True, "camera": camera, "diagonal": 800.0}
-    return expected_error(points2d.astype(np.float32), np.asarray(points3d, np.float32), visible, valid, layout, **what)
+def expected(points3d, layout, visible=None, valid=None):
+    """The errors of points in front of a camera that were fitted in its image, on an object of 300 pixels."""
+    visible = np.ones(len(points3d), bool) if visible is None else visible
+    places = np.asarray(points3d, np.float32)
+    edges, across, shares = known_layout(layout)
+    residual, noise = np.hypot(shares.resolution, shares.size * 300.0), shares.depth * stereo_noise(CAMERA.fx, 1280)
+    return point_errors(
+        places, CAMERA.project(places).astype(np.float32), visible, visible if valid is None else valid, edges, across,
+        residual, shares.aslant, CAMERA.fx, noise, MAX_SIGMA,
+    )  # fmt: skip
 
 
 def line(count: int, z: float, degrees: float = 0.0, step: float = 0.01) -> np.ndarray:
