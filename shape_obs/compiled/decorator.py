@@ -9,8 +9,10 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from typing import Any, Final, TypeVar, overload
 
+import numpy as np
 from numba.core import config, types
 from numba.core.registry import CPUDispatcher
+from numba.np.numpy_support import from_dtype
 
 from shape_obs.compiled.cache import DiskCache, cache_folder, code_size, fingerprint
 
@@ -79,8 +81,8 @@ def compiled(*signatures: Any, reassociate: bool = False, inline: bool = False, 
 
     Args:
         signatures: The types of the arguments as Numba writes them, ``"(f8[:,::1], i8)"``, or the names of named
-            tuples of numbers that the function's file imports or defines. No signature for a function that only
-            compiled functions call.
+            tuples of numbers and of record types (``numpy.dtype``) that the function's file imports or defines. No
+            signature for a function that only compiled functions call.
         reassociate: Whether sums may be taken in any order.
         inline: Copy the function into its callers; for a few lines in an inner loop.
         division: Return infinity or NaN for a division by zero, as NumPy does, and not raise an error.
@@ -196,12 +198,23 @@ def _prepare(entry: _EntryPoint) -> None:
 
 def _parsed(signature: str, names: dict[str, Any]) -> tuple[types.Type, ...]:
     """Return the types that a signature stands for, by the names of Numba's types and of named tuples."""
-    named = {name: value for name, value in names.items() if hasattr(value, "_fields") and name in signature}
-    return eval(signature, {}, {**vars(types), **{name: _struct(value) for name, value in named.items()}})
+    named = {name: _struct(value) for name, value in _structs(signature, names).items()}
+    return eval(signature, {}, {**vars(types), **named})
+
+
+def _structs(signature: str, names: dict[str, Any]) -> dict[str, Any]:
+    """Return the named tuples and the types of records that a signature names."""
+    return {
+        name: value
+        for name, value in names.items()
+        if name in signature and (hasattr(value, "_fields") or isinstance(value, np.dtype))
+    }
 
 
 def _struct(named: Any) -> types.Type:
-    """Return the type of a named tuple whose fields are ``float``, ``int`` or ``bool``."""
+    """Return the type of a record, or of a named tuple whose fields are ``float``, ``int`` or ``bool``."""
+    if isinstance(named, np.dtype):
+        return from_dtype(named)
     kinds = [getattr(kind, "__forward_arg__", kind) for kind in named.__annotations__.values()]
     fields = [_NUMBERS[kind] for kind in kinds]
     if len(set(fields)) == 1:
@@ -215,7 +228,10 @@ def _finish(entry: _EntryPoint) -> None:
 
 
 def _cache(entry: _EntryPoint) -> DiskCache:
-    return DiskCache(entry.py_func, fingerprint(entry, entry.signatures_declared))
+    names, declared = entry.py_func.__globals__, list(entry.signatures_declared)
+    for signature in entry.signatures_declared:
+        declared += [str(_struct(value)) for _, value in sorted(_structs(signature, names).items())]
+    return DiskCache(entry.py_func, fingerprint(entry, declared))
 
 
 def _announce(missing: list[_EntryPoint]) -> None:

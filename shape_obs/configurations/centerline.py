@@ -13,7 +13,7 @@ import numpy.typing as npt
 from shape_obs.clustering.som import batch_epochs, run_som
 from shape_obs.configurations.base import Configuration, Ends, Points, Scene
 from shape_obs.configurations.chain_points import follow_chain_in_mask, nodes_along, points_along
-from shape_obs.geometry.curve import FittedCurve, Length, TrackHints, local_stretch
+from shape_obs.geometry.curve import FittedCurve, TrackHints, local_stretch
 from shape_obs.geometry.intersections import crossing_table
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import arc_length, catmull_rom, interpolate
@@ -29,11 +29,10 @@ from shape_obs.initialization.objects import SceneObject
 from shape_obs.initialization.ropes import find_ropes
 from shape_obs.point_cloud.lifting import nearest_expected
 from shape_obs.tracking.occluders import Tips
-from shape_obs.tracking.occlusion import is_whole, known_rope, match_chain, shown, surprise
+from shape_obs.tracking.occlusion import expected_rope, is_whole, match_chain, shown
 from shape_obs.tracking.placement import widened
 from shape_obs.tracking.predicted_rope import least_doubt, visible_nodes
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
-from shape_obs.tracking.rope_length import learn_length, learnt
 from shape_obs.tracking.rope_match import ADRIFT, evened, match_to_rope
 from shape_obs.tracking.validation import MAX_HIDDEN, doubt_in_space, sample_spread, validate_ribbon
 from shape_obs.utils.lengths import warn_unless_metres
@@ -125,15 +124,15 @@ class Centerline(Configuration, kind="centerline"):
             found = self._fit_initial(observed, prediction, scene)
         if prediction is not None and (found.form is None or (found.reason and not found.form.ambiguity)):
             sigmas = _SIGMAS_STEADY if prediction.steady else _SIGMAS_AREA_CHANGED
-            start = visible_nodes(prediction) if any(prediction.hints.hidden) else prediction
+            start = visible_nodes(prediction) if prediction.hints.hides else prediction
             found = self._refine(observed, start.nodes, start.relief, sigmas, width, MAX_HIDDEN, prediction, scene)
-            off = np.inf if found.reason else surprise(found.form, prediction)
+            off = np.inf if found.reason else found.form.rope["surprise"][0]
             more = observed.area / max(prediction.size * width, 1e-9) if observed.dimension == 2 else 1.0
             if more > _MORE and found.reason and not prediction.stale:  # noise, or another object: no time is lost
                 return Fit(reason=f"the mask has {more:.2g} times as many pixels as the rope (at most {_MORE:.2g})")
             if off > MAX_SIZE_CHANGE:  # of another length, or the chain lost its way: an initial axis decides
                 again = self._fit_initial(observed, prediction, scene)
-                better = not again.reason and (surprise(again.form, prediction) <= off or is_whole(again.form))
+                better = not again.reason and (again.form.rope["surprise"][0] <= off or is_whole(again.form))
                 found = again if better else found
         if found.reason:
             return found
@@ -155,23 +154,24 @@ class Centerline(Configuration, kind="centerline"):
             reason = "the depth shows too little of the rope to measure its length"
         return found._replace(
             form=curve, nodes=nodes, topology=topology, size=size, width=seen_width, reason=reason, follow=follow,
-            relief=None if curve.relief is None else relief, length=curve.hints.length.metres or found.length,
+            relief=None if curve.relief is None else relief, length=float(curve.rope["metres"][0]) or found.length,
         )  # fmt: skip
 
     def _lost_its_length(self, observed: Observed, prediction: Prediction | None) -> bool:
         """Return whether a rope in an image, whose points lie at equal steps in space, is no longer measured there."""
-        known = prediction is not None and prediction.hints.length.metres > 0
+        known = prediction is not None and prediction.rope["metres"][0] > 0
         return known and observed.dimension == 2 and self.spacing == "m"
 
     def _reason_of(self, curve: FittedCurve, seen: float) -> str:
         """Return why a matched curve may be wrong, or shows too little of the rope; empty if it does not."""
-        least = _MIN_IN_PIECES if 1 - seen - sum(curve.hints.hidden) > _GAP else _MIN_SEEN
+        rope = curve.rope
+        least = _MIN_IN_PIECES if 1 - seen - sum(rope["hidden"][0]) > _GAP else _MIN_SEEN
         if seen < least:
             return f"{seen:.0%} of the rope is in sight (at least {least:.0%})"
-        if seen < _MIN_BETWEEN and all(curve.hints.covered):
+        if seen < _MIN_BETWEEN and rope["occluded"].all():
             return f"both ends are hidden, and {seen:.0%} of the rope is in sight (at least {_MIN_BETWEEN:.0%})"
-        if curve.hints.adrift > ADRIFT:
-            return f"a piece without an end in sight may have slid by {curve.hints.adrift:.1%} of the rope's length"
+        if (drift := rope["drift"][0]) > ADRIFT:
+            return f"a piece without an end in sight may have slid by {drift:.1%} of the rope's length"
         return ""
 
     def _fit_initial(self, observed: Observed, prediction: Prediction | None, scene: Scene) -> Fit:
@@ -204,11 +204,12 @@ class Centerline(Configuration, kind="centerline"):
             lens = _NOTHING if scene.intrinsics is None else scene.intrinsics.lens
             drawn, found = follow_chain_in_mask(
                 observed.runs, start, deep, *_epochs(sigmas), cell, (scene.edge or _EVERYWHERE)[:4],
-                *known_rope(prediction, width), observed.mask, observed.window[:2], width, scene.images, lens,
+                *expected_rope(prediction, width, self.length or 0.0), observed.mask, observed.window[:2],
+                scene.images, lens,
             )  # fmt: skip
             points, arc, off, metres, deep, spread, ends, shapes = drawn
             lifted = (metres, None, deep) if len(metres) else (None, None, None)
-            curve, tips = FittedCurve(points, off, arc, False, *lifted, width), Tips(ends, shapes, width)
+            curve, tips = FittedCurve(points, off, arc, False, *lifted, width), Tips(ends, shapes)
             square, area = spread + min(cell, width) ** 2 / 12, observed.area
         else:
             cloud = cast("Cloud", observed)
@@ -219,16 +220,19 @@ class Centerline(Configuration, kind="centerline"):
             spread = sample_spread(np.ascontiguousarray(samples.points), np.ascontiguousarray(samples.weight), points)
             square = spread + cloud.hidden_variance
             width, area = cloud.ribbon_width, 0
-        measured = 0.0
-        if prediction is None:
-            known = learnt(Length(metres=self.length or 0.0), curve, tips.known)
-            curve = replace(curve, hints=TrackHints(length=known, tips=tips.remembered()))
+        if prediction is None and found is not None:
+            curve, before = replace(curve, hints=TrackHints(found[0])), found[0]
+        elif prediction is None:
+            known = expected_rope(None, width, self.length or 0.0)
+            none = _NOTHING, _NOTHING, tips.known, tips.shapes
+            state, _ = match_to_rope(curve.points, curve.arc, curve.interpolated, *none, *known, True)
+            curve, before = replace(curve, hints=TrackHints(state)), state
         else:
-            measured = prediction.hints.measured
+            before = prediction.rope
             curve = match_chain(curve, prediction, tips, found)  # an end under a hand is put back here
         reason, quality = validate_ribbon(curve, observed.noun, expected_off, square, width, area)
-        stretch = max(curve.hints.stretch, 1e-9)
-        grown = curve.metres is not None and curve.hints.measured * _MIN_STRETCH > measured > 0
+        stretch, measured = max(float(curve.rope["stretch"][0]), 1e-9), curve.rope["measured"][0]
+        grown = curve.metres is not None and measured * _MIN_STRETCH > before["measured"][0] > 0
         if not reason and grown and stretch < _MIN_STRETCH:
             reason = f"the curve is {1 / stretch - 1:.0%} longer than the rope"
         if curve.ambiguity and not _begins_again(curve, prediction):
@@ -244,7 +248,7 @@ class Centerline(Configuration, kind="centerline"):
     def resample(self, form: FittedCurve, metric: FittedCurve) -> Points:
         """Return points with equal chords, from tip to tip or at the centres of N pieces."""
         first = 0
-        if any(form.hints.hidden):
+        if form.hints.hides:
             piece, same = shown(form), metric is form
             form, first = form.cut(piece), piece.start
             metric = form if same else metric.cut(piece)
@@ -260,7 +264,7 @@ class Centerline(Configuration, kind="centerline"):
         """The compiled functions that a fit may call."""
         masks = follow_chain_in_mask, match_to_rope, points_along, nodes_along
         masks += sharp_bends, evened, local_stretch, widened
-        masks += from_tip_to_tip, learn_length, least_doubt, nearest_expected, crossing_table, upper_strands
+        masks += from_tip_to_tip, least_doubt, nearest_expected, crossing_table, upper_strands
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
         return masks + AXIS_FUNCTIONS + clouds
 
@@ -293,4 +297,4 @@ def _epochs(sigmas: tuple[float, ...]) -> tuple[Array, float]:
 
 def _begins_again(curve: FittedCurve, prediction: Prediction | None) -> bool:
     """Return whether a rope is numbered by the paper's rule: at a cold start, or as a whole after a long loss."""
-    return prediction is None or (prediction.stale and max(curve.hints.hidden) <= curve.hints.slack)
+    return prediction is None or (prediction.stale and max(curve.rope["hidden"][0]) <= curve.rope["tolerance"][0])

@@ -10,9 +10,10 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.configurations.chain_in_mask import Drawn, fit_chain_in_mask
 from shape_obs.frame import DEPTH_TYPE, DepthImages
-from shape_obs.geometry.curve import Length, local_stretch, nearest_along, with_relief
+from shape_obs.geometry.curve import local_stretch, nearest_along, with_relief
 from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, equal_chords, even_points, interpolate
-from shape_obs.tracking.rope_match import Found, RopeBelief, match_to_rope
+from shape_obs.tracking.rope_match import Expected, match_to_rope
+from shape_obs.tracking.state import RopeState, State  # noqa: F401 - the first in a signature
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -23,25 +24,23 @@ _NEAR: Final = 0.04  # of its length: so near to a piece that is seen end-on poi
 
 
 @compiled(
-    "(i8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, i8, UniTuple(i8, 4), RopeBelief, Length, f8[:,::1], f8[::1], "
-    "f8[:,:,::1], u1[:,::1], UniTuple(i8, 2), f8, " + DEPTH_TYPE + ", f8[::1])"
+    "(i8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, i8, UniTuple(i8, 4), RopeState[::1], UniTuple(f8, 5), f8[:,::1], "
+    "f8[::1], u1[:,::1], UniTuple(i8, 2), " + DEPTH_TYPE + ", f8[::1])"
 )
 def follow_chain_in_mask(
     runs: Indices, start: Array, relief: Array, sigmas: Array, pull: float, cell: int,
-    edge: tuple[int, int, int, int], belief: RopeBelief, known: Length, nodes: Array, node_relief: Array, own: Array,
-    mask: Mask, at: tuple[int, int], width: float, depth: DepthImages, lens: Array,
-) -> tuple[Drawn, Found]:  # fmt: skip
+    edge: tuple[int, int, int, int], known: State, expected: Expected, nodes: Array, node_relief: Array,
+    mask: Mask, at: tuple[int, int], depth: DepthImages, lens: Array,
+) -> tuple[Drawn, tuple[State, Array]]:  # fmt: skip
     """Fit the curve of a rope in a mask, and find out which piece of the rope it is.
 
     Returns:
-        What ``fit_chain_in_mask`` and ``match_to_rope`` return, where the arguments are described too; nothing is
-        matched to a rope of unknown length.
+        What ``fit_chain_in_mask`` and ``match_to_rope`` return, where the arguments are described too.
     """
-    drawn = fit_chain_in_mask(runs, mask, at, start, relief, sigmas, pull, cell, width, depth, lens, edge)
+    drawn = fit_chain_in_mask(runs, mask, at, start, relief, sigmas, pull, cell, expected[0], depth, lens, edge)
     curve, arc, off, metres, deep, _, ends, shapes = drawn
-    return drawn, match_to_rope(
-        curve, arc, off, metres, deep, ends, shapes, belief, known, nodes, node_relief, own, False
-    )
+    match = match_to_rope(curve, arc, off, metres, deep, ends, shapes, known, expected, nodes, node_relief, False)
+    return drawn, match
 
 
 @compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], f8[::1], f8[::1], b1[::1], i8, b1, b1, f8)")

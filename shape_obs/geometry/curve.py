@@ -22,44 +22,11 @@ Mask = npt.NDArray[np.bool_]
 _SMOOTHING: Final = 9  # points of a fine curve
 
 
-class Length(NamedTuple):
-    """What is known of a rope's length.
-
-    Args:
-        pixels: As seen in the image; 0 if it is not known.
-        metres: Along the visible surface; 0 if it is not known.
-        spread: By which share the length in pixels has varied, RMS: what perspective and noise explain.
-        spread_metres: The same of the length in metres: what noise and steep views explain.
-        frames: In how many frames all of the rope was seen.
-        short: In how many frames in a row it was shorter than noise explains, though nothing hid it.
-    """
-
-    pixels: float = 0.0
-    metres: float = 0.0
-    spread: float = 0.003
-    spread_metres: float = 0.006
-    frames: float = 0.0
-    short: float = 0.0
-
-
 class TrackHints(NamedTuple):
     """What a form passes on to the next frame in addition to its nodes.
 
     Args:
-        hidden: Share of an open curve's length that is hidden at its start and at its end.
-        covered: Whether something is seen to hide its start and its end.
-        folded: Whether its start and its end are free, so that what is missing there was laid back onto the curve.
-        adrift: By which share of its length an open curve may have slid along itself while no end of it was seen.
-        slack: Hidden ends with a smaller share are within the measuring error.
-        stretch: By how much more of an open curve there is than was measured where it is visible.
-        measured: The length that was measured last when all of an open curve was seen; 0 if it is not known.
-        residuals: Mean square distances of an open curve from its prediction, in squares of its unit: after the best
-            rigid motion, and as it is.
-        cut: How much likelier, as logarithms, the tips of an open curve are cut than its own.
-        tips: ``(2, 2, 2)`` mean and variance of what its own tips look like; None if it is not known.
-        length: What is known of an open curve's length.
-        credit: For how many frames the start and the end of an open curve are taken for hidden though nothing is seen
-            to hide them.
+        rope: ``(1,)`` what is known of an open curve, see ``RopeState``; else None.
         reference: ``(K, D)`` nodes of the past that a closed curve was numbered by, or the points of a lattice in
             space; else None.
         turning: How far the turning of a closed curve can be believed, 0...1; None if it has not been compared.
@@ -67,21 +34,15 @@ class TrackHints(NamedTuple):
             else None.
     """
 
-    hidden: tuple[float, float] = (0.0, 0.0)
-    covered: tuple[bool, bool] = (False, False)
-    folded: tuple[bool, bool] = (False, False)
-    adrift: float = 0.0
-    slack: float = 0.0
-    stretch: float = 1.0
-    measured: float = 0.0
-    residuals: tuple[float, float] = (1.0, 1.0)
-    cut: tuple[float, float] = (0.0, 0.0)
-    tips: Array | None = None
-    length: Length = Length()
-    credit: tuple[float, float] = (0.0, 0.0)
+    rope: npt.NDArray[Any] | None = None
     reference: Array | None = None
     turning: float | None = None
     sides: Array | None = None
+
+    @property
+    def hides(self) -> bool:
+        """Whether an end of an open curve is out of sight."""
+        return self.rope is not None and max(self.rope["hidden"][0]) > 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +112,12 @@ class FittedCurve(FittedForm):
     def size(self) -> float:
         """Arc length from end to end, or once around."""
         return float(self.arc[-1])
+
+    @property
+    def rope(self) -> npt.NDArray[Any]:
+        """``(1,)`` what is known of an open curve that was matched to a track, see ``RopeState``."""
+        assert self.hints.rope is not None
+        return self.hints.rope
 
     @property
     def unsupported_fraction(self) -> float:
@@ -241,8 +208,11 @@ class FittedCurve(FittedForm):
     def reversed(self) -> FittedCurve:
         """Return the same curve run through backwards; if closed, the first point stays the first."""
         if not self.closed:
-            head, tail = self.hints.hidden
-            hints = self.hints._replace(hidden=(tail, head))
+            hints = self.hints
+            if hints.rope is not None:
+                rope = hints.rope.copy()
+                rope["hidden"] = hints.rope["hidden"][:, ::-1]
+                hints = hints._replace(rope=rope)
             metres, pixels = (
                 None if along is None else along[-1] - along[::-1] for along in (self.metres, self.pixels)
             )

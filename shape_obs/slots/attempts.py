@@ -15,7 +15,7 @@ from shape_obs.image.region import Region
 from shape_obs.image.sharing import CLOSE, share
 from shape_obs.tracker import Moment
 from shape_obs.tracking.exchanges import exchange_gain
-from shape_obs.tracking.prediction import Fit, Prediction, Track
+from shape_obs.tracking.prediction import Fit, Prediction, Track, length_in_image
 from shape_obs.tracking.scene_doubt import (
     changed_sides,
     claims_the_same,
@@ -88,8 +88,7 @@ def doubt_of(seen: Seen, tries: list[Attempt | None], *, apart: bool = False) ->
     for track, ahead, each in zip(seen.tracks, seen.expected, tries, strict=True):
         if each is not None and each.found.nodes is not None and track is not None and each.is_found:
             bent += more_bent(each.found.nodes, track.nodes, each.found.object_width)
-            known = ahead is not None and each.found.form.points.shape[1] == 2 and ahead.hints.length
-            size = known.pixels if known and known.frames > 0 else track.size
+            size = (each.found.form.points.shape[1] == 2 and length_in_image(ahead)) or track.size
             grown += max(abs(each.found.size - size) / each.found.object_width - _STEADY, 0.0)
     if not apart:
         strands = [(found.form, found.object_width) for found in forms if found.form.points.shape[1] == 2]

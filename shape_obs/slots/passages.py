@@ -12,12 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.curve import Length
 from shape_obs.geometry.polyline import interpolate
 from shape_obs.geometry.rotation import fit
 from shape_obs.slots.attempts import Attempt, Seen, in_image
 from shape_obs.tracking.prediction import Track
 from shape_obs.tracking.scene_doubt import nearest_distances
+from shape_obs.tracking.state import State
 
 Array = npt.NDArray[np.float64]
 Pair = tuple[int, int]  # of slots
@@ -44,13 +44,13 @@ class Lying(NamedTuple):
         nodes: ``(K, D)`` pixels or metres, of its track.
         pixels: ``(K, 2)`` the same in the image.
         visible: How much of it is visible, pixels; 0 where it meets another one and that is uncertain.
-        known: What is known of its length.
+        known: ``(1,)`` what is known of it, see ``RopeState``; None of what is no rope.
     """
 
     nodes: Array
     pixels: Array
     visible: float
-    known: Length
+    known: State | None
 
 
 class Passages:
@@ -107,8 +107,9 @@ class Passages:
                 return math.inf if self._lay_over.get(pair) else 0.0
             if self._lay_over.get(pair):  # next to each other, ropes may well bend alike
                 total += (change_of_headings(now.pixels, before.pixels) / _BENDS) ** 2
-            if now.visible > before.known.pixels > 0 and before.known.frames > 0:
-                off = (now.visible / before.known.pixels - 1) / max(before.known.spread, 1e-3)
+            rope = None if before.known is None or not before.known["frames"][0] else before.known[0]
+            if rope is not None and now.visible > rope["pixels"] > 0:
+                off = (now.visible / float(rope["pixels"]) - 1) / max(float(rope["pixels_spread"]), 1e-3)
                 total += min(max(off - _NOISE, 0.0), _LONGEST) ** 2
         return total
 
@@ -133,7 +134,7 @@ def lying_of(seen: Seen, tries: Sequence[Attempt | None], met: Sequence[int]) ->
         form, nodes = each.found.form, each.found.nodes
         apart = k not in met and form.points.shape[1] == 2
         visible = form.size * (1 - form.unsupported_fraction) if apart else 0.0
-        lying.append(Lying(nodes, in_image(nodes, seen.scene), visible, track.hints.length))
+        lying.append(Lying(nodes, in_image(nodes, seen.scene), visible, track.hints.rope))
     return lying
 
 
@@ -161,7 +162,10 @@ def moved(own: Track, other: Track, before: Lying) -> Track:
     """
     nodes = _laid_onto(before.nodes, other.nodes)
     velocity = np.broadcast_to(other.velocity.mean(axis=0), nodes.shape).copy()
-    hints = own.hints._replace(hidden=(0.0, 0.0), covered=(False, False), folded=(False, False), adrift=0.0)
+    rope = None if own.hints.rope is None else own.hints.rope.copy()
+    if rope is not None:
+        rope["hidden"] = rope["occluded"] = rope["folded"] = rope["drift"] = 0
+    hints = own.hints._replace(rope=rope)
     return own._replace(nodes=nodes, velocity=velocity, hints=hints, box=other.box, relief=None, climb=None)
 
 

@@ -33,9 +33,10 @@ from shape_obs.slots.attempts import (
 from shape_obs.slots.passages import Lying, Passages, better, change_of_headings, lying_of, moved
 from shape_obs.tracker import Moment, Tracker
 from shape_obs.tracking.exchanges import meetings
-from shape_obs.tracking.prediction import Fit
+from shape_obs.tracking.prediction import Fit, length_in_image
 from shape_obs.tracking.scene_doubt import bending_energy, nearest_distances, sharp_turns, side_distances
 from shape_obs.tracking.seats import add_pieces, near_tracks, seat_others, seat_tracked
+from shape_obs.tracking.state import LENGTH
 
 Array = npt.NDArray[np.float64]
 
@@ -199,8 +200,7 @@ class Slots:
             0.0 if each is None else _KEPT * width if each.stale else far * min(each.lapse, _LAPSE)
             for each in seen.expected
         ]
-        known = [None if track is None else track.hints.length for track in seen.tracks]
-        lengths = [each.pixels if each is not None and each.frames > 0 else math.inf for each in known]
+        lengths = [length_in_image(track) or math.inf for track in seen.tracks]
         seats = seat_tracked(objects, seen.ahead, reach, lengths)
         free = [k for k, each in enumerate(seen.expected) if each is None or each.stale]
         targets = [tracker.target(seen.moment) for tracker in self.trackers]
@@ -242,9 +242,11 @@ class Slots:
         if part.refusal:
             return Attempt(Fit(reason=part.refusal), observed, prediction)
         found = tracker.spec.fit(observed, prediction, tracker.target(seen.moment), scene)
-        if meets and prediction is not None and found.form is not None and prediction.hints.length.frames > 0:
-            hints = found.form.hints._replace(length=prediction.hints.length)
-            found = found._replace(form=replace(found.form, hints=hints))
+        known = None if prediction is None else prediction.hints.rope
+        if meets and known is not None and known["frames"][0] > 0 and found.form is not None:
+            rope = found.form.rope.copy()
+            rope[LENGTH] = known[LENGTH]
+            found = found._replace(form=replace(found.form, hints=found.form.hints._replace(rope=rope)))
         return Attempt(found, observed, prediction)
 
 

@@ -44,7 +44,7 @@ _BASE: Final = (1.0, 2.5)  # widths before a tip, between which the direction of
 _TURNS: Final = (0.0, -0.25, 0.25, -0.5, 0.5)  # tangents of how far to the side; what is cut askew seems to turn
 
 
-_NO_SHAPES: Final = np.zeros((2, 2))
+_NO_SHAPES: Final = np.zeros((0, 2))
 
 
 class Tips(NamedTuple):
@@ -52,18 +52,11 @@ class Tips(NamedTuple):
 
     Args:
         known: What is known about the first and the last, see ``tip_evidence``.
-        shapes: ``(2, 2)`` see ``tip_shape``; None for a cloud.
-        width: Of the rope, pixels.
+        shapes: ``(2, 2)`` see ``tip_shape``; ``(0, 2)`` for a cloud.
     """
 
     known: tuple[int, int] = (UNKNOWN, UNKNOWN)
-    shapes: Array | None = None
-    width: float = 0.0
-
-    @property
-    def seen(self) -> tuple[tuple[int, int], Array]:
-        """What is known, and the shapes as compiled code takes them."""
-        return self.known, _NO_SHAPES if self.shapes is None else self.shapes
+    shapes: Array = _NO_SHAPES
 
     @property
     def covered(self) -> tuple[bool, bool]:
@@ -72,15 +65,22 @@ class Tips(NamedTuple):
 
     def reversed(self) -> Tips:
         """Return the tips of the curve run through backwards."""
-        shapes = None if self.shapes is None else self.shapes[::-1].copy()
-        return Tips((self.known[1], self.known[0]), shapes, self.width)
+        return Tips((self.known[1], self.known[0]), self.shapes[::-1].copy())
 
-    def remembered(self) -> Array | None:
-        """Return what a track remembers of the tips of a rope that was seen once: ``(2, 2, 2)`` mean and variance."""
-        if self.shapes is None:
-            return None
-        least = (np.array(_SHAPE_NOISE) / max(self.width, 1.0)) ** 2
-        return np.stack([self.shapes, _UNFAMILIAR * np.broadcast_to(least, (2, 2))])
+
+@compiled
+def remember_tips(tips: Array, shapes: Array, width: float) -> None:
+    """Remember what a rope's own tips look like that were seen once.
+
+    Args:
+        tips: ``(2, 2, 2)`` mean and variance by tip, see ``RopeState``; written to.
+        shapes: ``(2, 2)`` see ``tip_shape``.
+        width: Of the rope, pixels.
+    """
+    for end in range(2):
+        for k in range(2):
+            tips[0, end, k] = shapes[end, k]
+            tips[1, end, k] = _UNFAMILIAR * (_SHAPE_NOISE[k] / max(width, 1.0)) ** 2
 
 
 @compiled
@@ -91,7 +91,7 @@ def likelier_cut(shapes: Array, before: Array, width: float) -> tuple[float, flo
 
     Args:
         shapes: ``(2, 2)`` see ``tip_shape``.
-        before: ``(2, 2, 2)`` see ``Tips.remembered``.
+        before: ``(2, 2, 2)`` see ``RopeState``.
         width: Of the rope, pixels.
     """
     first = last = 0.0

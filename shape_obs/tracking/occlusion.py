@@ -8,19 +8,19 @@ see ``rope_match``. Visible points keep their distance from the rope's ends, and
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.geometry.curve import FittedCurve, Length, TrackHints
+from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.polyline import arc_length, interpolate
-from shape_obs.tracking.occluders import FREE, HIDDEN, Tips
+from shape_obs.tracking.occluders import Tips
 from shape_obs.tracking.placement import widened
 from shape_obs.tracking.predicted_rope import PredictedRope, oriented
 from shape_obs.tracking.prediction import Prediction
-from shape_obs.tracking.rope_length import learnt
-from shape_obs.tracking.rope_match import LEAST, Found, Match, RopeBelief, evened, match_to_rope
+from shape_obs.tracking.rope_match import Expected, evened, match_to_rope
+from shape_obs.tracking.state import State, new_rope
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -29,8 +29,7 @@ Ends = tuple[int, int]
 _STRETCH: Final = 1.3  # a predicted piece is not laid into a gap that is this much wider or narrower
 _LONG: Final = 0.06  # of the length: next to a hidden end that is shorter, the visible piece stays as it is
 _NOTHING: Final = np.zeros(0)
-_UNKNOWN_TIPS: Final = np.zeros((0, 2, 2))
-_NO_ROPE: Final = RopeBelief(*np.zeros(14).tolist()), Length(), np.zeros((2, 2)), _NOTHING, _UNKNOWN_TIPS
+_NO_NODES: Final = np.zeros((0, 2))
 _WHOLE: Final = 0.03  # of a length in metres, by which the curve of a whole rope may be too long or too short
 _RIVAL: Final = 0.08  # of the length: if so much more may be hidden at the other end, nothing is known of either
 _TURN: Final = 0.06  # of the length, at most: so much next to what lies behind the rope is off by up to 2 gaps of 20
@@ -38,20 +37,24 @@ _LEVELLING: Final = 0.1  # of the relief of what is hidden, lost in a frame: it 
 _NEXT_TO: Final = 0.25  # of the visible piece, next to a hidden end, whose scale that end has
 
 
-def known_rope(prediction: Prediction | None, width: float) -> tuple[RopeBelief, Length, Array, Array, Array]:
-    """Return what a track knows of a rope of a width in pixels as ``match_to_rope`` takes it; None for nothing."""
+def expected_rope(prediction: Prediction | None, width: float, metres: float) -> tuple[State, Expected, Array, Array]:
+    """Return what a track knows of a rope and expects of it, as ``match_to_rope`` takes it.
+
+    Args:
+        prediction: None at a cold start.
+        width: Of the rope, pixels.
+        metres: Its length if that is known at a cold start; else 0.
+    """
     if prediction is None:
-        return _NO_ROPE
-    hints = prediction.hints
-    belief = RopeBelief(
-        *hints.hidden, *hints.residuals, *hints.cut, hints.adrift, float(width), float(prediction.resolution),
-        float(prediction.lapse), float(prediction.stale), *hints.credit, prediction.motion,
-    )  # fmt: skip
+        return new_rope(metres), (float(width), 1.0, 1.0, 0.0, 0.0), _NO_NODES, _NOTHING
+    moment = float(prediction.lapse), float(prediction.stale), float(prediction.motion)
     relief = _NOTHING if prediction.relief is None else prediction.relief
-    return belief, hints.length, prediction.nodes, relief, _UNKNOWN_TIPS if hints.tips is None else hints.tips
+    return prediction.rope, (float(width), float(prediction.resolution), *moment), prediction.nodes, relief
 
 
-def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips, match: Found | None = None) -> FittedCurve:
+def match_chain(
+    form: FittedCurve, prediction: Prediction, tips: Tips, match: tuple[State, Array] | None
+) -> FittedCurve:
     """Match a curve to the predicted rope: same direction, hidden ends put back, as long as the rope is known to be.
 
     Args:
@@ -61,37 +64,25 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips, match: Fo
         match: What ``match_to_rope`` has found out about it; None if it has not been asked.
 
     Returns:
-        The whole rope. Its hints hold the lengths of the hidden ends, and what is known of the rope's length.
+        The whole rope. Its hints hold what is known of it now.
     """
-    before = prediction.hints
-    if match is None or not match[0].clear:
-        form, back = oriented(form, PredictedRope(prediction, form), before.length, tips)
+    if match is None or not match[0]["aligned"][0]:
+        form, back = oriented(form, PredictedRope(prediction, form), tips)
         tips = tips.reversed() if back else tips
-        match = match_to_rope(*_seen(form), *tips.seen, *known_rope(prediction, form.width), True)
-    found, stations, length, own = match
-    metric = form.metres is not None
-    if found.length <= 0:
-        length = learnt(before.length, form, (found.first, found.last))
-        return replace(form, hints=TrackHints(length=length, tips=tips.remembered()))
-    measured = before.measured if found.head + found.tail > LEAST * found.length else found.measured
-    if found.rival > _RIVAL:
-        form = replace(form, ambiguity="it is in doubt which end of the rope is out of sight")
-    gap = found.gap_start, found.gap_stop
-    if gap[1] > gap[0] or found.head + found.tail > 0:
-        rope = PredictedRope(prediction, form)
-        form = _filled(rope, form, gap, found.head, found.between, found.length)
-        form = _completed(rope, form, found)
+        known = expected_rope(prediction, form.width, 0.0)
+        match = match_to_rope(*_seen(form), tips.known, tips.shapes, *known, True)
+    state, stations = match
+    metric, hints, (head, tail), gap = form.metres is not None, TrackHints(state), state["hidden"][0], state["gap"][0]
+    ambiguity = "it is in doubt which end of the rope is out of sight" if state["rival"] > _RIVAL else form.ambiguity
+    if gap[1] > gap[0] or head + tail > 0:
+        known = PredictedRope(prediction, form)
+        length = float(known.state["metres" if metric else "pixels"])
+        form = _filled(known, form, gap.tolist(), head * length, float(state["between"][0]), length)
+        form = _completed(known, form, state[0], length)
         stations = form.metres
-    ends = found.first, found.last
-    hints = TrackHints(
-        (found.head / found.length, found.tail / found.length), (ends[0] == HIDDEN, ends[1] == HIDDEN),
-        (ends[0] == FREE, ends[1] == FREE), found.adrift, found.slack / found.length, found.stretch, measured,
-        (found.bent, found.apart), (found.cut_head, found.cut_tail), own if len(own) else None, length,
-        credit=(found.credit_head, found.credit_tail),
-    )  # fmt: skip
     return FittedCurve(
         form.points, form.interpolated, form.arc, False, stations if metric else None, form.pixels, form.relief,
-        form.width, form.space, hints=hints, ambiguity=form.ambiguity,
+        form.width, form.space, hints=hints, ambiguity=ambiguity,
     )  # fmt: skip
 
 
@@ -101,16 +92,9 @@ def _seen(form: FittedCurve) -> tuple[Array, Array, Mask, Array, Array]:
     return form.points, form.arc, form.interpolated, metres, relief
 
 
-def surprise(form: FittedCurve, prediction: Prediction) -> float:
-    """Return by which share of its length other parts of a rope are hidden than before, or by which it is off."""
-    (head, tail), before, hints = form.hints.hidden, prediction.hints.hidden, form.hints
-    change = abs(head - before[0]) + abs(tail - before[1])
-    return max(change, (1 if form.metres is None else 2) * abs(hints.stretch - 1))
-
-
 def is_whole(form: FittedCurve) -> bool:
     """Return whether a form is as long in space as its rope, and nothing of it is hidden."""
-    return form.metres is not None and max(form.hints.hidden) <= 0 and abs(form.hints.stretch - 1) <= _WHOLE
+    return form.metres is not None and not form.hints.hides and abs(float(form.rope["stretch"][0]) - 1) <= _WHOLE
 
 
 def shown(form: FittedCurve) -> slice:
@@ -118,21 +102,24 @@ def shown(form: FittedCurve) -> slice:
 
     Of an end that something hides, two thirds of what may be noise elsewhere.
     """
-    hints, share = form.hints, form.stations / form.stations[-1]
-    least = [hints.slack * (2 / 3 if over else 1) for over in hints.covered]
-    first = np.searchsorted(share, hints.hidden[0] - 1e-9) if hints.hidden[0] < least[0] else 0
-    last = np.searchsorted(share, 1 - hints.hidden[1] + 1e-9) if hints.hidden[1] < least[1] else len(share)
+    if not form.hints.hides:
+        return slice(None)
+    rope = form.rope
+    share, (head, tail) = form.stations / form.stations[-1], rope["hidden"][0].tolist()
+    least = [float(rope["tolerance"][0]) * (2 / 3 if over else 1) for over in rope["occluded"][0]]
+    first = np.searchsorted(share, head - 1e-9) if head < least[0] else 0
+    last = np.searchsorted(share, 1 - tail + 1e-9) if tail < least[1] else len(share)
     return slice(int(first), int(last))
 
 
 def _filled(
-    rope: PredictedRope, form: FittedCurve, gap: tuple[int, int], head: float, between: float, length: float
+    rope: PredictedRope, form: FittedCurve, gap: list[int], head: float, between: float, length: float
 ) -> FittedCurve:
     """Return the curve with a gap as long as it is, and bent as predicted."""
     first, last = gap
     if last == first:
         return form
-    stations = widened(form.stations, gap, between)
+    stations = widened(form.stations, (first, last), between)
     piece = rope.at((head + np.linspace(stations[first], stations[last], last - first + 1)) / length)
     points = rope.points_of(form)
     chord, wanted = piece[-1] - piece[0], points[last] - points[first]
@@ -149,17 +136,19 @@ def _filled(
     if form.metres is None:
         return replace(drawn, pixels=stations)
     more = stations[last] - stations[first]
-    pixels = widened(drawn.arc, gap, more * _seen_scale(form, form.points) - (drawn.arc[last] - drawn.arc[first]))
+    pixels = widened(
+        drawn.arc, (first, last), more * _seen_scale(form, form.points) - (drawn.arc[last] - drawn.arc[first])
+    )
     return replace(drawn, metres=stations, pixels=pixels)
 
 
-def _completed(rope: PredictedRope, form: FittedCurve, found: Match) -> FittedCurve:
+def _completed(rope: PredictedRope, form: FittedCurve, found: Any, length: float) -> FittedCurve:
     """Return the visible piece that begins at station ``head``, with the hidden ends before and behind it.
 
     A hand cuts a rope askew, and what is fitted turns into the longer side of the cut; near a long hidden end the
     rope is therefore as predicted too. The rest of an end that is free can only lie on what is seen of the rope.
     """
-    ends, head, tail, length = (found.first, found.last), found.head, found.tail, found.length
+    (head, tail), occluded, folded = found["hidden"] * length, found["occluded"], found["folded"]
     stations = head + _stretched(form, length - head - tail)
     metric = form.metres is not None
     if head + tail <= 0:
@@ -170,23 +159,23 @@ def _completed(rope: PredictedRope, form: FittedCurve, found: Match) -> FittedCu
         inner = np.ones(len(inner), bool)
     points, flags, at = rope.points_of(form)[inner], form.interpolated[inner], stations[inner]
     reach = max(int(_NEXT_TO * len(points)), 1)
-    if ends[0] == FREE:
+    if folded[0]:
         before = _folded(points, at, at[0])[::-1]
     else:
-        before = _hidden_piece(rope, 0, at[0], points[: reach + 1], at[: reach + 1], length, ends[0] == HIDDEN)[::-1]
-    if ends[1] == FREE:
+        before = _hidden_piece(rope, 0, at[0], points[: reach + 1], at[: reach + 1], length, bool(occluded[0]))[::-1]
+    if folded[1]:
         behind = _folded(points[::-1], at[-1] - at[::-1], length - at[-1])
     else:
         behind = _hidden_piece(
-            rope, 1, length - at[-1], points[: -reach - 2 : -1], at[: -reach - 2 : -1], length, ends[1] == HIDDEN
+            rope, 1, length - at[-1], points[: -reach - 2 : -1], at[: -reach - 2 : -1], length, bool(occluded[1])
         )
     hidden_before = np.linspace(0, at[0], len(before) + 1)[:-1]
     hidden_behind = np.linspace(at[-1], length, len(behind) + 1)[1:]
     along = np.concatenate([hidden_before, at, hidden_behind])
     # Where a rope turns round or towards the camera, and goes on behind itself, a part of the turn is not seen either.
     first, last = (
-        hidden + min(hidden, _TURN * length) * (metric and end != HIDDEN)
-        for hidden, end in zip((head, tail), ends, strict=True)
+        hidden + min(hidden, _TURN * length) * (metric and not over)
+        for hidden, over in zip((head, tail), occluded, strict=True)
     )
     flags = np.concatenate([np.zeros(len(before), bool), flags, np.zeros(len(behind), bool)])
     flags |= (along < first - 1e-9) | (along > length - last + 1e-9)

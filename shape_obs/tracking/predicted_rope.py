@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.curve import FittedCurve, Length
+from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
 from shape_obs.tracking.occluders import Tips
@@ -29,7 +29,7 @@ _PLACES: Final = 7  # along the rope, at which a piece is compared with it to fi
 _FEWEST: Final = 6  # nodes of a visible piece
 
 
-def oriented(form: FittedCurve, rope: PredictedRope, length: Length, tips: Tips) -> tuple[FittedCurve, bool]:
+def oriented(form: FittedCurve, rope: PredictedRope, tips: Tips) -> tuple[FittedCurve, bool]:
     """Return a curve in the direction of the predicted rope, of which it may be a piece, and whether it was reversed.
 
     What hides an end, such as the image's border, hides it still. A direction that is in doubt is noted as the curve's
@@ -39,12 +39,12 @@ def oriented(form: FittedCurve, rope: PredictedRope, length: Length, tips: Tips)
         return form, False
     if way := direction(form.points, rope.prediction):
         return (form, False) if way > 0 else (form.reversed(), True)
-    whole = length.metres if form.metres is not None else length.pixels
+    whole = float(rope.state["pixels" if form.metres is None else "metres"])
     seen = min(float(form.stations[-1]) / whole, 1.0) if whole > 0 else 1.0
     back = form.reversed()
     uncovered = -2 * math.log(math.tanh(max(_UNCOVERING * rope.prediction.seconds, 1e-9)))  # a chain of two states
     off, off_back = (
-        rope.doubt(curve, seen) + uncovered * sum(map(ne, rope.prediction.hints.covered, covered))
+        rope.doubt(curve, seen) + uncovered * sum(map(ne, rope.state["occluded"], covered))
         for curve, covered in ((form, tips.covered), (back, tips.covered[::-1]))
     )
     if abs(off - off_back) < _SURE:
@@ -75,7 +75,8 @@ class Nodes(NamedTuple):
 
 def visible_nodes(prediction: Prediction) -> Nodes:
     """Return the predicted nodes of the visible piece, about as far apart."""
-    (head, tail), rope = prediction.hints.hidden, PredictedRope(prediction)
+    rope = PredictedRope(prediction)
+    head, tail = rope.hidden
     first, last = head, 1 - tail
     count = max(round(len(rope.nodes) * (last - first)), _FEWEST)
     nodes = rope.at(first + (np.arange(count) + 0.5) / count * (last - first))
@@ -101,6 +102,7 @@ class PredictedRope:
 
     Attributes:
         prediction: See above.
+        state: What the track knows of the rope, a record of ``RopeState``.
         nodes: ``(K, D)``.
         points: ``(K + 2, D)`` the nodes, and the tips in front of and behind them.
         share: ``(K + 2,)`` where the points lie along the rope, 0...1.
@@ -109,7 +111,8 @@ class PredictedRope:
 
     def __init__(self, prediction: Prediction, form: FittedCurve | None = None) -> None:
         self.prediction = prediction
-        nodes, self.hidden, self.folded = prediction.nodes, prediction.hints.hidden, prediction.hints.folded
+        nodes, self.state = prediction.nodes, prediction.rope[0]
+        self.hidden, self.folded = self.state["hidden"].tolist(), self.state["folded"].tolist()
         deep = prediction.relief
         self.lifted = deep is not None and (form is None or form.relief is not None)
         if deep is not None and self.lifted:
@@ -117,7 +120,8 @@ class PredictedRope:
         self.nodes = np.ascontiguousarray(nodes)
         self.points, self.share = from_tip_to_tip(self.nodes)
         # An object that moves as it likes is as far from its prediction as the square of the time that went by.
-        self.residuals, self.lapse = prediction.hints.residuals, prediction.lapse**2
+        self.residuals = float(self.state["shape_innovation"]), float(self.state["pose_innovation"])
+        self.lapse = prediction.lapse**2
         self.askew, self.resolution = _ASKEW * prediction.width, prediction.resolution
 
     def at(self, share: Array) -> Array:

@@ -99,6 +99,12 @@ class Track(NamedTuple):
     relief: Array | None = None
     climb: Array | None = None
 
+    @property
+    def rope(self) -> npt.NDArray[Any]:
+        """``(1,)`` what is known of a rope, see ``RopeState``."""
+        assert self.hints.rope is not None
+        return self.hints.rope
+
 
 class Prediction(NamedTuple):
     """Where a shape should be.
@@ -136,9 +142,21 @@ class Prediction(NamedTuple):
     reach: float = math.inf
 
     @property
+    def rope(self) -> npt.NDArray[Any]:
+        """``(1,)`` what is known of a rope, see ``RopeState``."""
+        assert self.hints.rope is not None
+        return self.hints.rope
+
+    @property
     def reference(self) -> Array:
         """``(K, D)`` nodes of the past that a closed curve is numbered by."""
         return self.nodes if self.hints.reference is None else self.hints.reference
+
+
+def length_in_image(known: Track | Prediction | None) -> float:
+    """Return the length in the image of a rope of which all was seen, pixels; 0 if it is not known."""
+    rope = None if known is None else known.hints.rope
+    return 0.0 if rope is None or not rope["frames"][0] else float(rope["pixels"][0])
 
 
 def predict(

@@ -7,16 +7,24 @@ straight, or the measurement is short, because of noise or, in pixels, of perspe
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.curve import Length, local_stretch, with_relief
+from shape_obs.geometry.curve import local_stretch, with_relief
 from shape_obs.geometry.polyline import interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
-from shape_obs.tracking.occluders import FREE, HIDDEN, TIP_LEARNING, UNKNOWN, blended_tips, likelier_cut
+from shape_obs.tracking.occluders import (
+    FREE,
+    HIDDEN,
+    TIP_LEARNING,
+    UNKNOWN,
+    blended_tips,
+    likelier_cut,
+    remember_tips,
+)
 from shape_obs.tracking.placement import (
     PROBES,
     Placed,
@@ -27,10 +35,12 @@ from shape_obs.tracking.placement import (
     slid,
 )
 from shape_obs.tracking.rope_length import learn_length, shorten_length
+from shape_obs.tracking.state import RopeState, State  # noqa: F401 - the first in a signature
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Ends = tuple[int, int]
+Expected = tuple[float, float, float, float, float]
 
 _GRAIN: Final = (0.3, 0.9)  # in resolutions: that of a short one, and what a rope adds that is seen twice as short
 _POINTING: Final = 3.0  # times as long in space as in the image: there a tip hides what goes on behind it
@@ -52,102 +62,14 @@ ADRIFT: Final = 0.02  # of its length: by so much a rope may have slid along its
 LEAST: Final = 0.002  # of a length in pixels: less cannot be seen to be missing
 
 
-class RopeBelief(NamedTuple):
-    """What a track believes of a rope, for compiled code; see ``TrackHints`` and ``Prediction``.
-
-    Args:
-        head: Share of its length that was hidden at its start.
-        tail: The same at its end.
-        bent: Mean square distance of curves from their predictions, after the best rigid motion.
-        apart: The same as they are.
-        cut_head: How much likelier, as a logarithm, its start was cut than its own.
-        cut_tail: The same of its end.
-        adrift: By which share of its length it may have slid along itself.
-        width: In pixels.
-        resolution: Of the observation.
-        lapse: Intervals since it was seen.
-        stale: 1 if it was lost for long, else 0.
-        credit_head: For how many frames its start is taken for hidden though nothing is seen to hide it.
-        credit_tail: The same of its end.
-        motion: How far it is expected to have moved, RMS.
-    """
-
-    head: float
-    tail: float
-    bent: float
-    apart: float
-    cut_head: float
-    cut_tail: float
-    adrift: float
-    width: float
-    resolution: float
-    lapse: float
-    stale: float
-    credit_head: float
-    credit_tail: float
-    motion: float
-
-
-class Match(NamedTuple):
-    """Which piece of a known rope a visible curve is, and what follows of it.
-
-    Args:
-        clear: Whether the curve clearly runs in the direction of the rope, or is known to; else nothing is decided.
-        first: What is known about its first point, see ``tip_evidence``.
-        last: The same of its last point.
-        gap_start: The last point before the widest bridged piece.
-        gap_stop: The first point after it; the same without one.
-        head: Length of what is hidden at its start, in the unit of the curve's stations.
-        tail: The same at its end.
-        between: By how much the gap is longer than it is bridged.
-        length: Of the rope, in that unit.
-        slack: Below this length what is missing is noise.
-        bent: See ``RopeBelief``, as are the next four, after this frame.
-        apart: Mean square distance.
-        cut_head: Logarithm.
-        cut_tail: Logarithm.
-        adrift: Share.
-        rival: By which share of the length more may be hidden elsewhere, see ``Placed``.
-        stretch: By how much more of the rope there is than was measured where it is visible.
-        measured: Length of what is visible.
-        credit_head: Frames, see ``RopeBelief``.
-        credit_tail: The same of its end.
-    """
-
-    clear: bool
-    first: int
-    last: int
-    gap_start: int
-    gap_stop: int
-    head: float
-    tail: float
-    between: float
-    length: float
-    slack: float
-    bent: float
-    apart: float
-    cut_head: float
-    cut_tail: float
-    adrift: float
-    rival: float
-    stretch: float
-    measured: float
-    credit_head: float
-    credit_tail: float
-
-
-#: The match; ``(P,)`` stations in metres if all of the rope is seen; what is then known of its length and its tips.
-Found = tuple[Match, Array, Length, Array]
-
-
 @compiled(
-    "(f8[:,::1], f8[::1], b1[::1], f8[::1], f8[::1], UniTuple(i8, 2), f8[:,::1], RopeBelief, Length, f8[:,::1], "
-    "f8[::1], f8[:,:,::1], b1)"
+    "(f8[:,::1], f8[::1], b1[::1], f8[::1], f8[::1], UniTuple(i8, 2), f8[:,::1], RopeState[::1], UniTuple(f8, 5), "
+    "f8[:,::1], f8[::1], b1)"
 )
 def match_to_rope(
-    points: Array, arc: Array, flags: Mask, metres: Array, relief: Array, ends: Ends, shapes: Array,
-    belief: RopeBelief, known: Length, nodes: Array, node_relief: Array, own: Array, oriented: bool,
-) -> Found:  # fmt: skip
+    points: Array, arc: Array, flags: Mask, metres: Array, relief: Array, ends: Ends, shapes: Array, known: State,
+    expected: Expected, nodes: Array, node_relief: Array, aligned: bool,
+) -> tuple[State, Array]:  # fmt: skip
     """Find out which piece of a known rope a curve is.
 
     Args:
@@ -157,39 +79,43 @@ def match_to_rope(
         metres: ``(P,)`` arc length in space; ``(0,)`` if it is not known, or the points are in space.
         relief: ``(P,)`` see ``FittedCurve.relief``; ``(0,)`` without.
         ends: What is known about both tips, see ``tip_evidence``.
-        shapes: ``(2, 2)`` what they look like, see ``tip_shape``.
-        belief: What the track believes of the rope.
-        known: What it knows of its length.
-        nodes: ``(K, D)`` where it is predicted.
+        shapes: ``(2, 2)`` what they look like, see ``tip_shape``; ``(0, 2)`` if that is not known.
+        known: ``(1,)`` what the track knows of the rope.
+        expected: The rope's width in pixels, the resolution of the observation, the intervals since the rope was seen,
+            1 if it was lost for long, and how far it is expected to have moved, RMS.
+        nodes: ``(K, D)`` where it is predicted; ``(0, D)`` at a cold start.
         node_relief: ``(K,)`` their relief; ``(0,)`` without.
-        own: ``(2, 2, 2)`` what its own tips look like, see ``Tips.remembered``; ``(0, 2, 2)`` if it is not known.
-        oriented: Whether the curve is known to run in the direction of the rope.
+        aligned: Whether the curve is known to run in the direction of the rope.
 
     Returns:
-        The match; ``(P,)`` stations of the curve in metres if all of the rope is seen and that is known; what is then
-        known of its length; and of its tips.
+        ``(1,)`` what is known of the rope after this frame, which only says ``aligned`` 0 where the direction is not
+        clear; ``(P,)`` stations of the curve in metres if all of the rope is seen and that is known.
     """
-    last, metric, in_space = len(arc) - 1, len(metres) > 0, points.shape[1] == 3
-    lifted = with_relief(points, relief) if len(relief) > 0 else points
-    with_depth = len(relief) > 0 and len(node_relief) > 0
-    rope, share = from_tip_to_tip(with_relief(nodes, node_relief) if with_depth else nodes)
-    found, along = lifted if with_depth else points, metres if metric else arc
-    length, steep, steepest = known.metres if metric else known.pixels, np.ones(2), 1.0
-    clear = oriented or _is_along(found, rope)
-    if not clear or length <= 0:
-        unknown = Match(
-            clear, ends[0], ends[1], 0, 0, 0.0, 0.0, 0.0, length, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, along[last],
-            0.0, 0.0,
-        )  # fmt: skip
-        return unknown, along, known, own
+    last, metric, in_space, after = len(arc) - 1, len(metres) > 0, points.shape[1] == 3, known.copy()
+    was, now, along, size = known[0], after[0], metres if metric else arc, metres[-1] if metric else 0.0
+    width, grain, lapse, stale, motion = expected
+    gap = _widest_gap(arc, flags)
+    unbroken, length = gap[1] == gap[0] and not flags.any(), was.metres if metric else was.pixels
+    if len(nodes) == 0 or length <= 0:
+        now.aligned = len(nodes) == 0 or aligned or _is_along(*_compared(points, relief, nodes, node_relief))
+        if now.aligned:
+            _begin(now, shapes, width)
+            learn_length(now, arc[last], size, HIDDEN not in ends, not flags.any())
+        return after, along
+    found, predicted = _compared(points, relief, nodes, node_relief)
+    now.aligned = aligned or _is_along(found, predicted)
+    if not now.aligned:
+        return after, along
+    rope, share = from_tip_to_tip(predicted)
+    steep, steepest = np.ones(2), 1.0
     if len(relief) > 0:
-        stretched = local_stretch(arc, lifted, belief.width / 2)
+        stretched = local_stretch(arc, with_relief(points, relief), width / 2)
         steep[0], steep[1] = stretched[0], stretched[last]
         for p in range(last + 1):
             steepest = max(steepest, stretched[p])
     short = (1 - along[last] / length) / _STILL
-    first, credit_head = _still_hidden(ends[0], _SLACK[0] < belief.head < short, belief.credit_head)
-    second, credit_tail = _still_hidden(ends[1], _SLACK[0] < belief.tail < short, belief.credit_tail)
+    first, now.hold[0] = _still_hidden(ends[0], _SLACK[0] < was.hidden[0] < short, was.hold[0])
+    second, now.hold[1] = _still_hidden(ends[1], _SLACK[0] < was.hidden[1] < short, was.hold[1])
     ends = first, second
     if HIDDEN in ends:  # that explains what is missing
         first, second = first if first != UNKNOWN else FREE, second if second != UNKNOWN else FREE
@@ -197,57 +123,81 @@ def match_to_rope(
     first = UNKNOWN if first == FREE and steep[0] > _POINTING else first
     second = UNKNOWN if second == FREE and steep[1] > _POINTING else second
     ends = first, second
-    likelier = likelier_cut(shapes, own, belief.width) if len(own) > 0 else (0.0, 0.0)
-    cut_head = min(max(_FADING * belief.cut_head + likelier[0], -_CERTAIN), _CERTAIN)
-    cut_tail = min(max(_FADING * belief.cut_tail + likelier[1], -_CERTAIN), _CERTAIN)
-    gap = _widest_gap(arc, flags)
-    resolution = belief.resolution * along[last] / max(arc[last], 1e-9)
+    familiar = was.tips_known and len(shapes) > 0
+    likelier = likelier_cut(shapes, was.tips, width) if familiar else (0.0, 0.0)
+    cut_head = min(max(_FADING * was.occlusion[0] + likelier[0], -_CERTAIN), _CERTAIN)
+    cut_tail = min(max(_FADING * was.occlusion[1] + likelier[1], -_CERTAIN), _CERTAIN)
+    resolution = grain * along[last] / max(arc[last], 1e-9)
     slack, missing, least = _SLACK[0] * length + _SLACK[1] * resolution, length - along[last], LEAST * length
-    grain, spread = _GRAIN[0] + _GRAIN[1] * (steepest - 1), known.spread_metres if metric or in_space else known.spread
-    noise = spread * length + grain * resolution
-    placed, residuals, adrift, rival = Placed(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (belief.bent, belief.apart), 0.0, 0.0
+    spread = was.metres_spread if metric or in_space else was.pixels_spread
+    noise = spread * length + (_GRAIN[0] + _GRAIN[1] * (steepest - 1)) * resolution
+    placed, residuals = Placed(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (was.shape_innovation, was.pose_innovation)
+    now.drift = now.rival = 0.0
     if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
         usual, cut = residuals, (cut_head, cut_tail)
-        if belief.adrift > ADRIFT and min(cut) <= -_OWN and max(cut) > 0:  # the prediction may be of other pieces
-            away = (belief.adrift * length) ** 2
+        if was.drift > ADRIFT and min(cut) <= -_OWN and max(cut) > 0:  # the prediction may be of other pieces
+            away = (was.drift * length) ** 2
             usual = max(residuals[0], _BENT * away), max(residuals[1], away)
         placed = place(
-            rope, share, found, along, ends, cut, (belief.head, belief.tail), usual, missing,
-            noise, belief.resolution, belief.lapse**2, gap,
+            rope, share, found, along, ends, cut, (was.hidden[0], was.hidden[1]), usual, missing, noise, grain,
+            lapse**2, gap,
         )  # fmt: skip
         beyond = _BY_NOISE * noise / length
         hidden = max(placed.head / length - beyond, 0.0), max(placed.tail / length - beyond, 0.0)
-        long_ago = belief.stale > 0 or belief.lapse**2 > _LONG_AGO
+        long_ago = stale > 0 or lapse**2 > _LONG_AGO
         bridge = along[gap[1]] - along[gap[0]]
-        strayed = beyond_rest(placed.apart, belief.motion, belief.resolution)
+        strayed = beyond_rest(placed.apart, motion, grain)
         shown = (
             FREE if first == UNKNOWN and hidden[0] <= 0 and cut_head <= -_OWN else first,
             FREE if second == UNKNOWN and hidden[1] <= 0 and cut_tail <= -_OWN else second,
         )
-        adrift = slid(belief.adrift, rope, shown, hidden, _SLIDES * bridge / length, strayed, long_ago)
-        rival = 0.0 if bridge > 0 or belief.adrift > 0 or belief.lapse**2 > _LONG_AGO else placed.rival
+        now.drift = slid(was.drift, rope, shown, hidden, _SLIDES * bridge / length, strayed, long_ago)
+        now.rival = 0.0 if bridge > 0 or was.drift > 0 or lapse**2 > _LONG_AGO else placed.rival
         bent, apart = placed.bent, placed.apart
     else:
         probes = interpolate(found, along, PROBES * along[last])
         bent, apart = disagreement(rope, share, probes, 0.0, 0.0)
-    residuals = settled(residuals, bent, apart)
+    now.shape_innovation, now.pose_innovation = settled(residuals, bent, apart)
     hidden_length = placed.head + placed.tail
-    unbroken, size = gap[1] == gap[0] and not flags.any(), metres[last] if metric else 0.0
     if hidden_length <= least and not (missing > _DOUBTFUL * noise and max(cut_head, cut_tail) > 0):
-        if len(own) > 0:
-            own = blended_tips(shapes, own, max(TIP_LEARNING, 1 / (known.frames + 1)))
-        known = learn_length(known, arc[last], size, HIDDEN not in ends, unbroken)
+        if familiar:
+            now.tips[:] = blended_tips(shapes, was.tips, max(TIP_LEARNING, 1 / (was.frames + 1)))
+        learn_length(now, arc[last], size, HIDDEN not in ends, unbroken)
     else:
         # A gap may be bridged too straight: then the rope is not shorter than it was.
         free = first == FREE and second == FREE and unbroken and missing > _BEYOND * noise
-        known = shorten_length(known, arc[last], size, free)
-    stations = evened(metres, arc, length) if metric and hidden_length <= 0 else along
-    stretch = (length - hidden_length) / max(along[last] + placed.between * (gap[1] > gap[0]), 1e-9)
-    match = Match(
-        True, first, second, gap[0], gap[1], placed.head, placed.tail, placed.between, length, slack, residuals[0],
-        residuals[1], cut_head, cut_tail, adrift, rival, stretch, along[last], credit_head, credit_tail,
-    )  # fmt: skip
-    return match, stations, known, own
+        shorten_length(now, arc[last], size, free)
+    now.hidden[0], now.hidden[1] = placed.head / length, placed.tail / length
+    for end in range(2):
+        now.occluded[end], now.folded[end] = ends[end] == HIDDEN, ends[end] == FREE
+    now.occlusion[0], now.occlusion[1] = cut_head, cut_tail
+    now.gap[0], now.gap[1], now.between, now.tolerance = gap[0], gap[1], placed.between, slack / length
+    now.stretch = (length - hidden_length) / max(along[last] + placed.between * (gap[1] > gap[0]), 1e-9)
+    changed = abs(now.hidden[0] - was.hidden[0]) + abs(now.hidden[1] - was.hidden[1])
+    now.surprise = max(changed, (2 if metric else 1) * abs(now.stretch - 1))
+    now.measured = was.measured if hidden_length > least else along[last]
+    return after, evened(metres, arc, length) if metric and hidden_length <= 0 else along
+
+
+@compiled
+def _compared(points: Array, relief: Array, nodes: Array, node_relief: Array) -> tuple[Array, Array]:
+    """Return a curve and predicted nodes with their relief, if that of both is known."""
+    if len(relief) > 0 and len(node_relief) > 0:
+        return with_relief(points, relief), with_relief(nodes, node_relief)
+    return points, nodes
+
+
+@compiled
+def _begin(rope: Any, shapes: Array, width: float) -> None:
+    """Forget all but the length of a rope, and remember the tips as they look now."""
+    rope.drift = rope.tolerance = rope.measured = rope.rival = rope.between = rope.surprise = 0.0
+    rope.stretch = rope.shape_innovation = rope.pose_innovation = 1.0
+    rope.tips_known = len(shapes) > 0
+    for end in range(2):
+        rope.hidden[end] = rope.occlusion[end] = rope.hold[end] = 0.0
+        rope.occluded[end] = rope.folded[end] = rope.gap[end] = 0
+    if rope.tips_known:
+        remember_tips(rope.tips, shapes, width)
 
 
 @compiled
@@ -261,15 +211,15 @@ def _still_hidden(known: int, may_be: bool, credit: float) -> tuple[int, float]:
 
 
 @compiled
-def _is_along(points: Array, rope: Array) -> bool:
-    """Return whether a curve clearly runs in the direction of a rope, by the distances of its ends."""
-    count, size, forwards, backwards = len(rope), points.shape[1], 0.0, 0.0
+def _is_along(points: Array, nodes: Array) -> bool:
+    """Return whether a curve clearly runs in the direction of ``(K, D)`` nodes, by the distances of its ends."""
+    size, forwards, backwards = points.shape[1], 0.0, 0.0
     for end in range(2):
         same = other = 0.0
         for d in range(size):
             at = points[-1 if end else 0, d]
-            same += (at - rope[count - 2 if end else 1, d]) ** 2
-            other += (at - rope[1 if end else count - 2, d]) ** 2
+            same += (at - nodes[-1 if end else 0, d]) ** 2
+            other += (at - nodes[0 if end else -1, d]) ** 2
         forwards, backwards = forwards + math.sqrt(same), backwards + math.sqrt(other)
     return _CLEAR * forwards < backwards
 

@@ -51,7 +51,7 @@ def predict_search_window(tracks: list[Track | None]) -> SearchWindow | None:
     left = top = width = math.inf
     right = bottom = -math.inf
     for track in tracks:
-        if track is None or track.box is None or any(track.hints.hidden):
+        if track is None or track.box is None or track.hints.hides:
             return None
         box, spare = track.box, _SPARE + track.drift
         left, top, width = min(left, box.left - spare), min(top, box.top - spare), min(width, track.width)

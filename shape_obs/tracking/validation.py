@@ -125,20 +125,22 @@ def validate_ribbon(
 
 def doubt_in_space(curve: FittedCurve) -> str:
     """Return why the points of a rope may lie elsewhere along a curve that was found in space; empty if they do not."""
-    hints, missing = curve.hints, sum(curve.hints.hidden)
-    if hints.stretch > 1 + max(_SHORTER * hints.slack, _SHORT * hints.length.spread_metres):
-        return f"the curve is {1 - 1 / hints.stretch:.1%} shorter than the rope, and nothing is seen to hide an end"
-    if hints.covered[0] != hints.covered[1]:
-        steep, other = curve.steepness(curve.width / 2), 0 if hints.covered[1] else 1
+    rope = curve.rope
+    stretch, occluded, log_odds = float(rope["stretch"][0]), rope["occluded"][0], rope["occlusion"][0]
+    missing = sum(rope["hidden"][0])
+    if stretch > 1 + max(_SHORTER * rope["tolerance"][0], _SHORT * rope["metres_spread"][0]):
+        return f"the curve is {1 - 1 / stretch:.1%} shorter than the rope, and nothing is seen to hide an end"
+    if occluded[0] != occluded[1]:
+        steep, other = curve.steepness(curve.width / 2), 0 if occluded[1] else 1
         aslant = max(float(steep[-other]), _ELSEWHERE * float(steep.max()))
-        most = _ASLANT_CUT if hints.cut[other] > hints.cut[1 - other] else _ASLANT
+        most = _ASLANT_CUT if log_odds[other] > log_odds[1 - other] else _ASLANT
         if aslant > most:
             return f"an end is hidden, and the rope is {aslant:.2g} times as long as it looks (at most {most})"
-    if any(hints.covered):
+    if any(occluded):
         return ""
-    if missing > _POINTING and not any(hints.folded):
+    if missing > _POINTING and not rope["folded"].any():
         return f"both ends point at the camera, and {missing:.1%} of the rope is missing at one of them"
-    steepest = float(curve.steepness(curve.width / 2).max()) if max(hints.cut) > 0 else 1.0
+    steepest = float(curve.steepness(curve.width / 2).max()) if max(log_odds) > 0 else 1.0
     if steepest > _STEEPEST:
         return f"a piece is seen end-on, {steepest:.2g} times as long as it looks (at most {_STEEPEST})"
     return ""

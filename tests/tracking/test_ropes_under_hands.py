@@ -8,13 +8,14 @@ import pytest
 
 from shape_obs import Centerline, Intrinsics, ShapeDetector
 from shape_obs.bench.scenes import draw_rope
-from shape_obs.geometry.curve import FittedCurve, Length, TrackHints
+from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.polyline import arc_length, resample
 from shape_obs.geometry.topology import Chain
 from shape_obs.tracking.occluders import FREE, HIDDEN, Tips
 from shape_obs.tracking.occlusion import match_chain
 from shape_obs.tracking.predicted_rope import PredictedRope
 from shape_obs.tracking.prediction import Prediction
+from shape_obs.tracking.state import new_rope
 from tests.benchmarks.hidden import track
 from tests.scenes.hidden_ropes import hidden_rope, hidden_ropes
 
@@ -272,12 +273,13 @@ def test_it_is_in_doubt_which_end_is_missing_where_a_free_end_may_be_folded_back
     """Something hides the first end, but the prediction says that the last is missing: a hairpin may have closed."""
     at = (np.arange(16) + 0.5) / 16 - 0.5
     nodes = 300 * np.stack([at, 0.3 * np.clip(at - 0.2, 0, None)], axis=1) + (320, 240)
-    length = TrackHints(length=Length(pixels=300.0, frames=10.0))
-    known = Prediction(nodes, 300.0, Chain(16), length, 1.0, 8.0, True)
+    rope = new_rope()
+    rope["pixels"], rope["frames"] = 300.0, 10.0
+    known = Prediction(nodes, 300.0, Chain(16), TrackHints(rope), 1.0, 8.0, True)
     points = PredictedRope(known).at(np.linspace(first, first + 0.7, 64))
     form = FittedCurve.through(points, np.zeros(64, bool))
-    found = match_chain(form, known, Tips((HIDDEN, FREE), None, 8.0))
-    assert found.hints.hidden == pytest.approx((0.3, 0.0), abs=0.08)
+    found = match_chain(form, known, Tips((HIDDEN, FREE)), None)
+    assert found.rope["hidden"][0] == pytest.approx((0.3, 0.0), abs=0.08)
     assert ("in doubt which end" in found.ambiguity) == in_doubt
 
 

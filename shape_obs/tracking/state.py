@@ -1,0 +1,54 @@
+"""What a track knows of a rope: one record that Python and compiled code share, copied and pickled as an array is."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+State = npt.NDArray[Any]
+
+#: The first of two values is that of the rope's start, the second that of its end.
+RopeState: Final = np.dtype(
+    [
+        ("hidden", "f8", 2),  # share of its length that is out of sight
+        ("occluded", "u1", 2),  # 1 if something is seen to hide the end
+        ("folded", "u1", 2),  # 1 if the end is free, so that what is missing there was laid back onto the curve
+        ("occlusion", "f8", 2),  # log-odds that the visible tip is cut by what hides the rest, and not the rope's own
+        ("hold", "f8", 2),  # frames for which the end is taken for hidden though nothing is seen to hide it
+        ("drift", "f8"),  # share of its length by which it may have slid along itself while no end was seen
+        ("tolerance", "f8"),  # share of its length: hidden ends with less are within the measuring error
+        ("stretch", "f8"),  # how much more of it there is than was measured where it is visible
+        ("measured", "f8"),  # its length when all of it was seen last, pixels or metres; 0 if it is not known
+        ("shape_innovation", "f8"),  # mean square distance from its prediction after the best rigid motion, px^2, m^2
+        ("pose_innovation", "f8"),  # the same as it is
+        ("tips", "f8", (2, 2, 2)),  # mean and variance of what its own tips look like, by tip, see ``tip_shape``
+        ("tips_known", "?"),  # whether they were seen
+        ("pixels", "f8"),  # its length in the image; 0 if it is not known
+        ("metres", "f8"),  # its length along the visible surface; 0 if it is not known
+        ("pixels_spread", "f8"),  # share by which the length in pixels has varied, RMS: perspective and noise
+        ("metres_spread", "f8"),  # the same of the length in metres: noise and oblique views
+        ("frames", "f8"),  # in how many all of it was seen
+        ("short", "f8"),  # frames in a row in which it was shorter than noise explains, though nothing hid it
+        # What the last frame's match found, besides the above.
+        ("aligned", "?"),  # whether the curve clearly runs in the direction of the rope
+        ("gap", "i8", 2),  # the last point of the curve before its widest bridged piece and the first after; or equal
+        ("between", "f8"),  # by how much that piece is longer than it is bridged
+        ("rival", "f8"),  # share of its length that may be hidden elsewhere, see ``Placed``
+        ("surprise", "f8"),  # by which share of its length other parts are hidden than before, or by which it is off
+    ],
+    align=True,
+)
+#: What is known of its length.
+LENGTH: Final = ["pixels", "metres", "pixels_spread", "metres_spread", "frames", "short"]
+_SPREAD: Final = (0.003, 0.006)  # of a length in pixels and in metres, before any was measured
+
+
+def new_rope(metres: float = 0.0) -> State:
+    """Return the state ``(1,)`` of a rope of which nothing is known but perhaps its length in metres."""
+    state = np.zeros(1, RopeState)
+    state["metres"], state["stretch"] = metres, 1.0
+    state["shape_innovation"] = state["pose_innovation"] = 1.0
+    state["pixels_spread"], state["metres_spread"] = _SPREAD
+    return state
