@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, Final, cast
 
@@ -29,7 +29,7 @@ from shape_obs.initialization.objects import SceneObject
 from shape_obs.initialization.ropes import find_ropes
 from shape_obs.point_cloud.lifting import nearest_expected
 from shape_obs.tracking.occluders import Tips
-from shape_obs.tracking.occlusion import expected_rope, is_whole, match_chain, shown
+from shape_obs.tracking.occlusion import ambiguity_of, expected_rope, is_plain, is_whole, match_chain, shown
 from shape_obs.tracking.placement import widened
 from shape_obs.tracking.predicted_rope import least_doubt, visible_nodes
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
@@ -197,42 +197,37 @@ class Centerline(Configuration, kind="centerline"):
         scene: Scene,
     ) -> Fit:
         """Run the self-organising map from a start, finish the curve, match it to the track, validate it."""
-        topology, found = Chain(len(start)), None
+        topology, metres, deep = Chain(len(start)), _NOTHING, _NOTHING
         if isinstance(observed, Region):
             cell = max(int(min(width / 3, _MAX_CELL)), math.isqrt(observed.area // _MAX_CELLS), 1)  # thin ropes keep it
-            deep = _NOTHING if relief is None or scene.intrinsics is None else relief
+            expected = expected_rope(prediction, width, self.length or 0.0)
             lens = _NOTHING if scene.intrinsics is None else scene.intrinsics.lens
-            drawn, found = follow_chain_in_mask(
-                observed.runs, start, deep, *_epochs(sigmas), cell, (scene.edge or _EVERYWHERE)[:4],
-                *expected_rope(prediction, width, self.length or 0.0), observed.mask, observed.window[:2],
-                scene.images, lens,
+            drawn, (state, stations) = follow_chain_in_mask(
+                observed.runs, start, _NOTHING if relief is None or not len(lens) else relief, *_epochs(sigmas), cell,
+                (scene.edge or _EVERYWHERE)[:4], *expected, observed.mask, observed.window[:2], scene.images, lens,
             )  # fmt: skip
             points, arc, off, metres, deep, spread, ends, shapes = drawn
-            lifted = (metres, None, deep) if len(metres) else (None, None, None)
-            curve, tips = FittedCurve(points, off, arc, False, *lifted, width), Tips(ends, shapes)
+            tips, ribbon = Tips(ends, shapes), width
             square, area = spread + min(cell, width) ** 2 / 12, observed.area
         else:
             cloud = cast("Cloud", observed)
-            samples = cloud.samples
+            samples, tips, ribbon, area = cloud.samples, Tips(), 0.0, 0
             nodes = cloud.extend_to_tips(run_som(samples, start, topology, sigmas))
             points = catmull_rom(nodes, 4, False)
-            curve, tips = FittedCurve(points, ~cloud.carries(points), arc_length(points)), Tips()
+            off, arc = ~cloud.carries(points), arc_length(points)
             spread = sample_spread(np.ascontiguousarray(samples.points), np.ascontiguousarray(samples.weight), points)
-            square = spread + cloud.hidden_variance
-            width, area = cloud.ribbon_width, 0
-        if prediction is None and found is not None:
-            curve, before = replace(curve, hints=TrackHints(found[0])), found[0]
-        elif prediction is None:
-            known = expected_rope(None, width, self.length or 0.0)
-            none = _NOTHING, _NOTHING, tips.known, tips.shapes
-            state, _ = match_to_rope(curve.points, curve.arc, curve.interpolated, *none, *known, True)
-            curve, before = replace(curve, hints=TrackHints(state)), state
-        else:
-            before = prediction.rope
-            curve = match_chain(curve, prediction, tips, found)  # an end under a hand is put back here
+            square, width = spread + cloud.hidden_variance, cloud.ribbon_width
+            expected = expected_rope(prediction, ribbon, self.length or 0.0)
+            state, stations = match_to_rope(points, arc, off, metres, deep, *tips, *expected, False)
+        plain, hints = is_plain(state), TrackHints(state)
+        known = (stations if plain else metres, None, deep) if len(metres) else (None, None, None)
+        curve = FittedCurve(points, off, arc, False, *known, ribbon, hints=hints, ambiguity=ambiguity_of(state))
+        if prediction is not None and not plain:
+            curve = match_chain(curve, prediction, tips)  # an end under a hand is put back here
         reason, quality = validate_ribbon(curve, observed.noun, expected_off, square, width, area)
         stretch, measured = max(float(curve.rope["stretch"][0]), 1e-9), curve.rope["measured"][0]
-        grown = curve.metres is not None and measured * _MIN_STRETCH > before["measured"][0] > 0
+        before = 0.0 if prediction is None else prediction.rope["measured"][0]
+        grown = curve.metres is not None and measured * _MIN_STRETCH > before > 0
         if not reason and grown and stretch < _MIN_STRETCH:
             reason = f"the curve is {1 / stretch - 1:.0%} longer than the rope"
         if curve.ambiguity and not _begins_again(curve, prediction):

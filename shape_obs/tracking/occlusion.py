@@ -52,28 +52,34 @@ def expected_rope(prediction: Prediction | None, width: float, metres: float) ->
     return prediction.rope, (float(width), float(prediction.resolution), *moment), prediction.nodes, relief
 
 
-def match_chain(
-    form: FittedCurve, prediction: Prediction, tips: Tips, match: tuple[State, Array] | None
-) -> FittedCurve:
-    """Match a curve to the predicted rope: same direction, hidden ends put back, as long as the rope is known to be.
+def is_plain(rope: State) -> bool:
+    """Return whether a curve is all of a rope, in its direction, and no piece of it is bridged."""
+    first, last = rope["gap"][0]
+    return bool(rope["aligned"][0]) and first == last and max(rope["hidden"][0]) <= 0
+
+
+def ambiguity_of(rope: State) -> str:
+    """Return why a match may be wrong though it is the likeliest; empty if it is not in doubt."""
+    return "it is in doubt which end of the rope is out of sight" if rope["rival"][0] > _RIVAL else ""
+
+
+def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> FittedCurve:
+    """Give a curve the direction of the rope, and put back what of it is hidden.
 
     Args:
-        form: ``(P, D)`` fitted to this frame, in any direction.
+        form: ``(P, D)`` fitted to this frame, in any direction; its hints hold what ``match_to_rope`` found.
         prediction: Where the rope should be.
         tips: What the curve's tips look like.
-        match: What ``match_to_rope`` has found out about it; None if it has not been asked.
 
     Returns:
         The whole rope. Its hints hold what is known of it now.
     """
-    if match is None or not match[0]["aligned"][0]:
+    state, stations = form.rope, form.metres
+    if not state["aligned"][0]:
         form, back = oriented(form, PredictedRope(prediction, form), tips)
-        tips = tips.reversed() if back else tips
-        known = expected_rope(prediction, form.width, 0.0)
-        match = match_to_rope(*_seen(form), tips.known, tips.shapes, *known, True)
-    state, stations = match
-    metric, hints, (head, tail), gap = form.metres is not None, TrackHints(state), state["hidden"][0], state["gap"][0]
-    ambiguity = "it is in doubt which end of the rope is out of sight" if state["rival"] > _RIVAL else form.ambiguity
+        tips, known = tips.reversed() if back else tips, expected_rope(prediction, form.width, 0.0)
+        state, stations = match_to_rope(*_seen(form), *tips, *known, True)
+    metric, (head, tail), gap = form.metres is not None, state["hidden"][0], state["gap"][0]
     if gap[1] > gap[0] or head + tail > 0:
         known = PredictedRope(prediction, form)
         length = float(known.state["metres" if metric else "pixels"])
@@ -82,7 +88,7 @@ def match_chain(
         stations = form.metres
     return FittedCurve(
         form.points, form.interpolated, form.arc, False, stations if metric else None, form.pixels, form.relief,
-        form.width, form.space, hints=hints, ambiguity=ambiguity,
+        form.width, form.space, hints=TrackHints(state), ambiguity=ambiguity_of(state) or form.ambiguity,
     )  # fmt: skip
 
 

@@ -94,6 +94,7 @@ def match_to_rope(
     last, metric, in_space, after = len(arc) - 1, len(metres) > 0, points.shape[1] == 3, known.copy()
     was, now, along, size = known[0], after[0], metres if metric else arc, metres[-1] if metric else 0.0
     width, grain, lapse, stale, motion = expected
+    now.rival = 0.0
     gap = _widest_gap(arc, flags)
     unbroken, length = gap[1] == gap[0] and not flags.any(), was.metres if metric else was.pixels
     if len(nodes) == 0 or length <= 0:
@@ -132,7 +133,7 @@ def match_to_rope(
     spread = was.metres_spread if metric or in_space else was.pixels_spread
     noise = spread * length + (_GRAIN[0] + _GRAIN[1] * (steepest - 1)) * resolution
     placed, residuals = Placed(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (was.shape_innovation, was.pose_innovation)
-    now.drift = now.rival = 0.0
+    now.drift = 0.0
     if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
         usual, cut = residuals, (cut_head, cut_tail)
         if was.drift > ADRIFT and min(cut) <= -_OWN and max(cut) > 0:  # the prediction may be of other pieces

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -278,7 +280,8 @@ def test_it_is_in_doubt_which_end_is_missing_where_a_free_end_may_be_folded_back
     known = Prediction(nodes, 300.0, Chain(16), TrackHints(rope), 1.0, 8.0, True)
     points = PredictedRope(known).at(np.linspace(first, first + 0.7, 64))
     form = FittedCurve.through(points, np.zeros(64, bool))
-    found = match_chain(form, known, Tips((HIDDEN, FREE)), None)
+    form = replace(form, hints=TrackHints(new_rope()))
+    found = match_chain(form, known, Tips((HIDDEN, FREE)))
     assert found.rope["hidden"][0] == pytest.approx((0.3, 0.0), abs=0.08)
     assert ("in doubt which end" in found.ambiguity) == in_doubt
 
