@@ -28,12 +28,12 @@ from shape_obs.initialization.medial_axis import AXIS_FUNCTIONS, medial_axis
 from shape_obs.initialization.objects import SceneObject
 from shape_obs.initialization.ropes import find_ropes
 from shape_obs.point_cloud.lifting import nearest_expected
+from shape_obs.tracking.complete import complete_chain
 from shape_obs.tracking.occluders import Tips
 from shape_obs.tracking.occlusion import ambiguity_of, expected_rope, is_plain, is_whole, match_chain, shown
-from shape_obs.tracking.placement import widened
 from shape_obs.tracking.predicted_rope import least_doubt, visible_nodes
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
-from shape_obs.tracking.rope_match import ADRIFT, evened, match_to_rope
+from shape_obs.tracking.rope_match import ADRIFT, match_to_rope
 from shape_obs.tracking.validation import MAX_HIDDEN, doubt_in_space, sample_spread, validate_ribbon
 from shape_obs.utils.lengths import warn_unless_metres
 
@@ -258,7 +258,7 @@ class Centerline(Configuration, kind="centerline"):
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
         masks = follow_chain_in_mask, match_to_rope, points_along, nodes_along
-        masks += sharp_bends, evened, local_stretch, widened
+        masks += sharp_bends, local_stretch, complete_chain
         masks += from_tip_to_tip, least_doubt, nearest_expected, crossing_table, upper_strands
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
         return masks + AXIS_FUNCTIONS + clouds

@@ -22,7 +22,6 @@ Array = npt.NDArray[np.float64]
 
 _UNSEEN: Final = 30.0  # squared standard deviations: a piece that lies where all was folded back is so unlikely
 _CLEAR: Final = 3.0  # how much nearer ends lie to their own places than to each other's
-_ASKEW: Final = 0.6  # widths: of the visible piece next to a hidden end, which may follow the cut
 _SURE: Final = 8.0  # squared standard deviations by which the other direction has to be less likely
 _UNCOVERING: Final = 2.0  # in a second, an end goes out of sight or comes to light, about
 _PLACES: Final = 7  # along the rope, at which a piece is compared with it to find its direction
@@ -122,7 +121,7 @@ class PredictedRope:
         # An object that moves as it likes is as far from its prediction as the square of the time that went by.
         self.residuals = float(self.state["shape_innovation"]), float(self.state["pose_innovation"])
         self.lapse = prediction.lapse**2
-        self.askew, self.resolution = _ASKEW * prediction.width, prediction.resolution
+        self.resolution = prediction.resolution
 
     def at(self, share: Array) -> Array:
         """Return ``(N, D)`` points at shares of the length."""

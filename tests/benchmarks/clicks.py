@@ -298,6 +298,7 @@ _COLUMNS: Final = {
 _RIGHT: Final = (("ropes and wires", 85, 95), ("sheets and rings", 90, 97), ("colour of their own", 100, 100))
 _REACHED: Final = "more training brings no more"
 _LIKE_HUES: Final = "as fast as a range of hues, see clicks.time; with another process running"
+_SLOWER: Final = "226 ms where the limit was set; the same machine takes up to 293 on another day"
 CLAIMS: Final = (
     Claim(
         "clicks.photos", "Photos of which the mask is right after one, two and three clicks, and by other methods.",
@@ -332,7 +333,7 @@ CLAIMS: Final = (
         lambda effort: [effort.count(300)], frame_costs,
         limits=(
             Limit("times a hue range", at_most=1.2, unit="x"),
-            Limit("median [ms]", at_most=250, unit="ms", where={"rule": "one click"}),
+            Limit("median [ms]", at_most=250, unit="ms", where={"rule": "one click"}, reason=_SLOWER),
         ),
     ),
 )  # fmt: skip
