@@ -60,15 +60,17 @@ def complete_chain(
     rope, share = from_tip_to_tip(with_relief(nodes, node_relief) if lifted else nodes)
     lay, stations, size = with_relief(points, relief) if lifted else points, metres if metric else arc, points.shape[1]
     length = was.metres if metric else was.pixels
-    head, tail, gap, pixels = now.hidden[0] * length, now.hidden[1] * length, (now.gap[0], now.gap[1]), arc[:0]
+    head, tail, pixels = now.hidden[0] * length, now.hidden[1] * length, arc[:0]
+    gap = int(now.gap[0]), int(now.gap[1])
     if gap[1] > gap[0]:
         scale, drawn = _seen_scale(points, stations, flags), _seen_scale(lay, stations, flags)
         stations = widened(stations, gap, now.between)
         lay = _filled(lay, stations, gap, drawn, rope, share, head, length, lifted)
         arc = arc_length(_first(lay, size))
         if metric:
-            longer = (stations[gap[1]] - stations[gap[0]]) * scale - (arc[gap[1]] - arc[gap[0]])
-            pixels = widened(arc, gap, longer)
+            first, last = gap
+            longer = (stations[last] - stations[first]) * scale - (arc[last] - arc[first])
+            pixels = widened(arc, gap, float(longer))
     if metric:
         stations = head + evened(stations, arc, length - head - tail)
     else:
@@ -246,7 +248,7 @@ def _hidden_piece(
     size = seen.shape[1]
     if hidden <= _NONE * length:
         return np.empty((0, size))
-    count = max(int(math.ceil(hidden / (length * share[1]))) + 1, 2)
+    count = max(math.ceil(hidden / (length * share[1])) + 1, 2)
     scale = arc_length(seen)[-1] / max(abs(stations[-1] - stations[0]), 1e-9)
     outwards = np.arange(count) / (count - 1)
     if was.folded[end] and was.hidden[end] > 0:

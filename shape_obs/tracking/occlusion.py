@@ -79,9 +79,9 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
         return replace(form, metres=metres, hints=hints, ambiguity=ambiguity)
     relief = _NOTHING if prediction.relief is None else prediction.relief
     before, width = prediction.rope, float(prediction.width)
-    points, arc, flags, *known = complete_chain(*_seen(form), before, state, width, prediction.nodes, relief)
-    known = [each if len(each) else None for each in known]
-    return FittedCurve(points, flags, arc, False, *known, form.width, None, hints=hints, ambiguity=ambiguity)
+    points, arc, flags, *measures = complete_chain(*_seen(form), before, state, width, prediction.nodes, relief)
+    metres, pixels, deep = (each if len(each) else None for each in measures)
+    return FittedCurve(points, flags, arc, False, metres, pixels, deep, form.width, hints=hints, ambiguity=ambiguity)
 
 
 def _seen(form: FittedCurve) -> tuple[Array, Array, Mask, Array, Array]:

@@ -333,7 +333,7 @@ CLAIMS: Final = (
         lambda effort: [effort.count(300)], frame_costs,
         limits=(
             Limit("times a hue range", at_most=1.2, unit="x"),
-            Limit("median [ms]", at_most=250, unit="ms", where={"rule": "one click"}, reason=_SLOWER),
+            Limit("median [ms]", at_most=250, unit="ms", where={"rule": "one click"}, known=_SLOWER),
         ),
     ),
 )  # fmt: skip

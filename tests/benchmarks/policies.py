@@ -159,7 +159,7 @@ CLAIMS: Final = (
             Limit("size [MB]", at_most=1000, unit="MB", where={"extra": "deploy"}),
             Limit(
                 "import [s]", at_most=1, unit="s", where={"extra": "deploy"},
-                reason="Numba takes half of it, NumPy and Gymnasium a quarter, and the first frame needs them",
+                known="Numba takes half of it, NumPy and Gymnasium a quarter, and the first frame needs them",
             ),
         ),
         alone=True, needs=("stable_baselines3", "onnxruntime"),
