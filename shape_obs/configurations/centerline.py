@@ -126,13 +126,13 @@ class Centerline(Configuration, kind="centerline"):
             sigmas = _SIGMAS_STEADY if prediction.steady else _SIGMAS_AREA_CHANGED
             start = visible_nodes(prediction) if prediction.hints.hides else prediction
             found = self._refine(observed, start.nodes, start.relief, sigmas, width, MAX_HIDDEN, prediction, scene)
-            off = np.inf if found.reason else found.form.rope["surprise"][0]
+            off = np.inf if found.reason else found.form.rope["innovation"][0]
             more = observed.area / max(prediction.size * width, 1e-9) if observed.dimension == 2 else 1.0
             if more > _MORE and found.reason and not prediction.stale:  # noise, or another object: no time is lost
                 return Fit(reason=f"the mask has {more:.2g} times as many pixels as the rope (at most {_MORE:.2g})")
             if off > MAX_SIZE_CHANGE:  # of another length, or the chain lost its way: an initial axis decides
                 again = self._fit_initial(observed, prediction, scene)
-                better = not again.reason and (again.form.rope["surprise"][0] <= off or is_whole(again.form))
+                better = not again.reason and (again.form.rope["innovation"][0] <= off or is_whole(again.form))
                 found = again if better else found
         if found.reason:
             return found

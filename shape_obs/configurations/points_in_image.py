@@ -25,9 +25,9 @@ Mask = npt.NDArray[np.uint8]
 #: Pixels, metres, visible, valid and errors of ``seen_points``.
 Seen = tuple[Floats, Floats, Flags, Flags, Floats]
 
-# Where a rope is this much longer in space than in the image, a pixel holds so much of it that its depth is no point's.
+# Where a rope is this much longer in space than in the image, its pixels' depth is no point's.
 _END_ON: Final = 2.4
-_END_ON_IF_THIN: Final = 2.0  # the same of a rope thinner than 6 px, of which a pixel holds more
+_END_ON_IF_THIN: Final = 2.0  # the same of a rope thinner than 6 px, whose pixels hold more
 _THIN: Final = 6.0
 
 
@@ -37,7 +37,7 @@ _THIN: Final = 6.0
     + ", u1[:,::1], UniTuple(i8, 2), f8, f8[::1], f8, i8[:,::1], i8, Shares, i8, f8)"
 )
 def seen_points(
-    points: Array, interpolated: Flags, relief: Array, steep: Array, foreign: Flags, off: Array,
+    points: Array, interpolated: Flags, log_depth: Array, steep: Array, foreign: Flags, off: Array,
     size: float, depth: DepthImages, mask: Mask, at: tuple[int, int], width: float, lens: Array, radius: float,
     edges: Indices, across: int, shares: Shares, columns: int, diagonal: float,
 ) -> Seen:  # fmt: skip
@@ -46,8 +46,8 @@ def seen_points(
     Args:
         points: ``(N, 2)`` pixels.
         interpolated: ``(N,)`` whether the form is interpolated there.
-        relief: ``(N,)`` of the form, see ``FittedCurve.relief``; ``(0,)`` takes the median depth around each point.
-        steep: ``(N,)`` how much longer the form is there in space than in the image; ``(0,)`` without relief.
+        log_depth: ``(N,)`` of the form, see ``FittedCurve``; ``(0,)`` takes the median depth around each point.
+        steep: ``(N,)`` how much longer the form is there in space than in the image; ``(0,)`` without log-depth.
         foreign: ``(N,)`` whether the depth there may be that of what hides a piece next to it; ``(0,)`` if none is.
         off: ``(N,)`` metres by which points of a sheet may be off within it, see ``Isometry``; ``(0,)`` without depth.
         size: Of the form, pixels.
@@ -77,9 +77,9 @@ def seen_points(
         return pixels, np.empty((0, 3), np.float32), visible, visible.copy(), errors
     reach = min(max(int(np.rint(width / 4)), 1), MAX_REACH)
     valid, z = np.empty(count, np.bool_), np.empty(count)
-    if len(relief) > 0:
+    if len(log_depth) > 0:
         for n in range(count):
-            z[n] = math.exp(relief[n] / lens[0])
+            z[n] = math.exp(log_depth[n] / lens[0])
         known, under = strand_under(depth, mask, at, points, reach, z, strand_gap(width, lens[0]))
         for n in range(count):
             visible[n] = visible[n] and not under[n]
@@ -98,8 +98,8 @@ def seen_points(
             z[n], valid[n] = np.nan, False
         for d in range(3):
             valid[n] = valid[n] and math.isfinite(places[n, d])  # the lens may have no ray there
-    if len(relief) == 0 and not valid.all():
-        # What is in doubt on a sheet still has its own depth; next to a curve it may be that of what lies over it.
+    if len(log_depth) == 0 and not valid.all():
+        # What is uncertain on a sheet still has its own depth; next to a curve it may be that of what lies over it.
         known = np.isfinite(z) if across > 0 else valid
         places = _in_space(points, _filled(z, known, edges, across), lens, radius)
     focal = (lens[0] + lens[1]) / 2

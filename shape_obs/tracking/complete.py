@@ -1,7 +1,7 @@
 """Complete: put back what is hidden of a rope, so that its visible points keep their distance from its ends.
 
 A gap is as long as the rope goes on behind it, and bent as predicted; a hidden end is carried along with what is seen
-next to it; an end that is folded back lies on what is seen.
+next to it; an end that is folded back is on what is seen.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Mask = npt.NDArray[np.bool_]
 _STRETCH: Final = 1.3  # a predicted piece is not laid into a gap that is this much wider or narrower
 _LONG: Final = 0.06  # of the length: next to a hidden end that is shorter, the visible piece stays as it is
 _TURN: Final = 0.06  # of the length, at most: so much next to what lies behind the rope is off by up to 2 gaps of 20
-_LEVELLING: Final = 0.1  # of the relief of what is hidden, lost in a frame: it is as deep as what is seen next to it
+_LEVELLING: Final = 0.1  # of the log-depth of what is hidden, lost in a frame: it is as deep as what is seen next to it
 _NEXT_TO: Final = 0.25  # of the visible piece, next to a hidden end, whose scale that end has
 _ASKEW: Final = 0.6  # widths: of the visible piece next to a hidden end, which may follow the cut
 _NONE: Final = 1e-9  # of a length: less is nothing
@@ -34,39 +34,43 @@ _NONE: Final = 1e-9  # of a length: less is nothing
 
 @compiled("(f8[:,::1], f8[::1], b1[::1], f8[::1], f8[::1], RopeState[::1], RopeState[::1], f8, f8[:,::1], f8[::1])")
 def complete_chain(
-    points: Array, arc: Array, flags: Mask, metres: Array, relief: Array, before: State, known: State, width: float,
-    nodes: Array, node_relief: Array,
+    points: Array, arc: Array, flags: Mask, metres: Array, log_depth: Array, before: State, known: State, width: float,
+    nodes: Array, node_log_depth: Array,
 ) -> tuple[Array, Array, Mask, Array, Array, Array]:  # fmt: skip
-    """Return the whole curve of a rope of which a piece is seen.
+    """Return the whole curve of a rope that is seen in part.
 
     Args:
         points: ``(P, D)`` what is seen, in the direction of the rope, in pixels or metres.
         arc: ``(P,)`` its arc length.
         flags: ``(P,)`` what of it is bridged.
         metres: ``(P,)`` its arc length in space; ``(0,)`` if it is not known, or the points are in space.
-        relief: ``(P,)`` see ``FittedCurve.relief``; ``(0,)`` without.
+        log_depth: ``(P,)`` see ``FittedCurve``; ``(0,)`` without.
         before: ``(1,)`` what was known of the rope before this frame.
         known: ``(1,)`` what is known now, see ``match_to_rope``.
         width: Of the rope, pixels, as it was; 0 in a cloud.
         nodes: ``(K, D)`` where it is predicted.
-        node_relief: ``(K,)`` their relief; ``(0,)`` without.
+        node_log_depth: ``(K,)`` their log-depth; ``(0,)`` without.
 
     Returns:
         ``(P', D)`` the curve from tip to tip; ``(P',)`` its arc length, and what of it is interpolated; how far along
         the rope each point lies in metres, and in the unit of the points where gaps and ends are longer than they are
-        drawn; its relief. The last three are ``(0,)`` if they are not known.
+        drawn; its log-depth. The last three are ``(0,)`` if they are not known.
     """
-    metric, lifted, was, now = len(metres) > 0, len(relief) > 0 and len(node_relief) > 0, before[0], known[0]
-    rope, share = from_tip_to_tip(with_relief(nodes, node_relief) if lifted else nodes)
-    lay, stations, size = with_relief(points, relief) if lifted else points, metres if metric else arc, points.shape[1]
+    metric, lifted, was, now = len(metres) > 0, len(log_depth) > 0 and len(node_log_depth) > 0, before[0], known[0]
+    rope, share = from_tip_to_tip(with_relief(nodes, node_log_depth) if lifted else nodes)
+    curve, stations, size = (
+        with_relief(points, log_depth) if lifted else points,
+        metres if metric else arc,
+        points.shape[1],
+    )
     length = was.metres if metric else was.pixels
     head, tail, pixels = now.hidden[0] * length, now.hidden[1] * length, arc[:0]
     gap = int(now.gap[0]), int(now.gap[1])
     if gap[1] > gap[0]:
-        scale, drawn = _seen_scale(points, stations, flags), _seen_scale(lay, stations, flags)
+        scale, drawn = _seen_scale(points, stations, flags), _seen_scale(curve, stations, flags)
         stations = widened(stations, gap, now.between)
-        lay = _filled(lay, stations, gap, drawn, rope, share, head, length, lifted)
-        arc = arc_length(_first(lay, size))
+        curve = _filled(curve, stations, gap, drawn, rope, share, head, length, lifted)
+        arc = arc_length(_first(curve, size))
         if metric:
             first, last = gap
             longer = (stations[last] - stations[first]) * scale - (arc[last] - arc[first])
@@ -76,18 +80,18 @@ def complete_chain(
     else:
         stations = head + stations * ((length - head - tail) / max(stations[-1], 1e-9))
     if head + tail > 0:
-        lay, flags, stations, pixels = _with_ends(
-            lay, arc, flags, stations, pixels, rope, share, was, now, length, width, size, metric, lifted
+        curve, flags, stations, pixels = _with_ends(
+            curve, arc, flags, stations, pixels, rope, share, was, now, length, width, size, metric, lifted
         )
-        arc = arc_length(_first(lay, size))
-    deep = lay[:, size].copy() if lifted else arc[:0]
-    return _first(lay, size), arc, flags, stations if metric else arc[:0], pixels if metric else stations, deep
+        arc = arc_length(_first(curve, size))
+    deep = curve[:, size].copy() if lifted else arc[:0]
+    return _first(curve, size), arc, flags, stations if metric else arc[:0], pixels if metric else stations, deep
 
 
 @compiled
 def _with_ends(
-    lay: Array, arc: Array, flags: Mask, stations: Array, pixels: Array, rope: Array, share: Array, was: Any, now: Any,
-    length: float, width: float, size: int, metric: bool, lifted: bool,
+    curve: Array, arc: Array, flags: Mask, stations: Array, pixels: Array, rope: Array, share: Array, was: Any,
+    now: Any, length: float, width: float, size: int, metric: bool, lifted: bool,
 ) -> tuple[Array, Mask, Array, Array]:  # fmt: skip
     """Return the visible piece with the hidden ends before and behind it.
 
@@ -95,7 +99,7 @@ def _with_ends(
     rope is therefore as predicted too. The rest of an end that is free can only lie on what is seen of the rope.
 
     Args:
-        lay: ``(P, D)`` the visible piece.
+        curve: ``(P, D)`` the visible piece.
         arc: ``(P,)`` its arc length.
         flags: ``(P,)`` what of it is interpolated.
         stations: ``(P,)`` how far along the rope its points lie.
@@ -108,7 +112,7 @@ def _with_ends(
         width: Pixels.
         size: How many of the coordinates are places.
         metric: Whether stations are metres though points are pixels.
-        lifted: Whether the last coordinate is relief.
+        lifted: Whether the last coordinate is log-depth.
 
     Returns:
         Points, flags, stations and pixels of the whole.
@@ -121,7 +125,7 @@ def _with_ends(
         stop -= 1
     if stop - start < 2:
         start, stop = 0, len(arc)
-    seen, at = lay[start:stop].copy(), stations[start:stop].copy()
+    seen, at = curve[start:stop].copy(), stations[start:stop].copy()
     back, from_end = seen[::-1].copy(), at[-1] - at[::-1].copy()
     reach = max(int(_NEXT_TO * len(seen)), 1) + 1
     if now.folded[0]:
@@ -139,9 +143,9 @@ def _with_ends(
         )  # fmt: skip
     ahead, past = len(before), len(before) + len(seen)
     count = past + len(behind)
-    whole, along, hidden = np.empty((count, lay.shape[1])), np.empty(count), np.zeros(count, np.bool_)
+    whole, along, hidden = np.empty((count, curve.shape[1])), np.empty(count), np.zeros(count, np.bool_)
     for p in range(count):
-        for d in range(lay.shape[1]):
+        for d in range(curve.shape[1]):
             whole[p, d] = (
                 before[ahead - 1 - p, d] if p < ahead else seen[p - ahead, d] if p < past else behind[p - past, d]
             )
@@ -174,13 +178,13 @@ def _with_ends(
 
 @compiled
 def _filled(
-    lay: Array, stations: Array, gap: tuple[int, int], scale: float, rope: Array, share: Array, head: float,
+    curve: Array, stations: Array, gap: tuple[int, int], scale: float, rope: Array, share: Array, head: float,
     length: float, lifted: bool,
 ) -> Array:  # fmt: skip
     """Return a curve with a gap that is bent as predicted.
 
     Args:
-        lay: ``(P, D)``.
+        curve: ``(P, D)``.
         stations: ``(P,)`` how far along the visible piece its points lie.
         gap: The last point before it and the first after it.
         scale: How long the curve is for each unit of the stations, where it is visible.
@@ -188,31 +192,31 @@ def _filled(
         share: ``(K,)`` where these points lie along it, 0...1.
         head: Length that is hidden at its start.
         length: Of the rope.
-        lifted: Whether the last coordinate is relief.
+        lifted: Whether the last coordinate is log-depth.
     """
     first, last = gap
-    count, size, out = last - first, lay.shape[1], lay.copy()
+    count, size, out = last - first, curve.shape[1], curve.copy()
     long = stations[last] - stations[first]
     piece = interpolate(rope, share, (head + stations[first] + np.arange(count + 1) / count * long) / length)
     predicted = wanted = 0.0
     for d in range(size):
         predicted += (piece[count, d] - piece[0, d]) ** 2
-        wanted += (lay[last, d] - lay[first, d]) ** 2
+        wanted += (curve[last, d] - curve[first, d]) ** 2
     chord = math.sqrt(wanted)
     if not 1 / _STRETCH < chord / max(math.sqrt(predicted), 1e-9) < _STRETCH:
         return out
     # What is left over at the far end is spread along the piece, so that it meets both ends.
     for d in range(size):
-        start, left = piece[0, d], lay[last, d] - lay[first, d] - (piece[count, d] - piece[0, d])
+        start, left = piece[0, d], curve[last, d] - curve[first, d] - (piece[count, d] - piece[0, d])
         for p in range(count + 1):
-            piece[p, d] += lay[first, d] - start + p / count * left
+            piece[p, d] += curve[first, d] - start + p / count * left
     # A piece that stays out of sight is predicted from what was put there before: it would grow without this.
     tight, drawn = max(long * scale, chord), arc_length(piece)[count]
     if drawn > tight:
         pull = math.sqrt((tight**2 - chord**2) / (drawn**2 - chord**2))
         for p in range(count + 1):
             for d in range(size):
-                line = lay[first, d] + p / count * (lay[last, d] - lay[first, d])
+                line = curve[first, d] + p / count * (curve[last, d] - curve[first, d])
                 piece[p, d] = line + pull * (piece[p, d] - line)
     if lifted:
         for p in range(count + 1):
@@ -242,7 +246,7 @@ def _hidden_piece(
         seen: ``(P, D)`` the visible piece from the joint inwards.
         stations: ``(P,)`` of these points.
         length: Of the rope.
-        lifted: Whether the last coordinate is relief.
+        lifted: Whether the last coordinate is log-depth.
         level: Whether something lies over it: then its depth is not known from where it was predicted.
     """
     size = seen.shape[1]

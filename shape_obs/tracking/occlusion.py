@@ -32,7 +32,7 @@ _RIVAL: Final = 0.08  # of the length: if so much more may be hidden at the othe
 
 
 def expected_rope(prediction: Prediction | None, width: float, metres: float) -> tuple[State, Expected, Array, Array]:
-    """Return what a track knows of a rope and expects of it, as ``match_to_rope`` takes it.
+    """Return what is known of a rope and expected of it, as ``match_to_rope`` takes it.
 
     Args:
         prediction: None at a cold start.

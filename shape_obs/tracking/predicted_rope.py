@@ -101,7 +101,7 @@ class PredictedRope:
 
     Attributes:
         prediction: See above.
-        state: What the track knows of the rope, a record of ``RopeState``.
+        state: What is known of the rope, a record of ``RopeState``.
         nodes: ``(K, D)``.
         points: ``(K + 2, D)`` the nodes, and the tips in front of and behind them.
         share: ``(K + 2,)`` where the points lie along the rope, 0...1.

@@ -80,7 +80,7 @@ def match_to_rope(
         relief: ``(P,)`` see ``FittedCurve.relief``; ``(0,)`` without.
         ends: What is known about both tips, see ``tip_evidence``.
         shapes: ``(2, 2)`` what they look like, see ``tip_shape``; ``(0, 2)`` if that is not known.
-        known: ``(1,)`` what the track knows of the rope.
+        known: ``(1,)`` what is known of the rope.
         expected: The rope's width in pixels, the resolution of the observation, the intervals since the rope was seen,
             1 if it was lost for long, and how far it is expected to have moved, RMS.
         nodes: ``(K, D)`` where it is predicted; ``(0, D)`` at a cold start.
@@ -93,7 +93,7 @@ def match_to_rope(
     """
     last, metric, in_space, after = len(arc) - 1, len(metres) > 0, points.shape[1] == 3, known.copy()
     was, now, along, size = known[0], after[0], metres if metric else arc, metres[-1] if metric else 0.0
-    width, grain, lapse, stale, motion = expected
+    width, resolution, lapse, stale, motion = expected
     now.rival = 0.0
     gap = _widest_gap(arc, flags)
     unbroken, length = gap[1] == gap[0] and not flags.any(), was.metres if metric else was.pixels
@@ -128,10 +128,10 @@ def match_to_rope(
     likelier = likelier_cut(shapes, was.tips, width) if familiar else (0.0, 0.0)
     cut_head = min(max(_FADING * was.occlusion[0] + likelier[0], -_CERTAIN), _CERTAIN)
     cut_tail = min(max(_FADING * was.occlusion[1] + likelier[1], -_CERTAIN), _CERTAIN)
-    resolution = grain * along[last] / max(arc[last], 1e-9)
-    slack, missing, least = _SLACK[0] * length + _SLACK[1] * resolution, length - along[last], LEAST * length
+    step = resolution * along[last] / max(arc[last], 1e-9)  # in the unit of the stations
+    slack, missing, least = _SLACK[0] * length + _SLACK[1] * step, length - along[last], LEAST * length
     spread = was.metres_spread if metric or in_space else was.pixels_spread
-    noise = spread * length + (_GRAIN[0] + _GRAIN[1] * (steepest - 1)) * resolution
+    noise = spread * length + (_GRAIN[0] + _GRAIN[1] * (steepest - 1)) * step
     placed, residuals = Placed(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (was.shape_innovation, was.pose_innovation)
     now.drift = 0.0
     if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
@@ -140,14 +140,14 @@ def match_to_rope(
             away = (was.drift * length) ** 2
             usual = max(residuals[0], _BENT * away), max(residuals[1], away)
         placed = place(
-            rope, share, found, along, ends, cut, (was.hidden[0], was.hidden[1]), usual, missing, noise, grain,
+            rope, share, found, along, ends, cut, (was.hidden[0], was.hidden[1]), usual, missing, noise, resolution,
             lapse**2, gap,
         )  # fmt: skip
         beyond = _BY_NOISE * noise / length
         hidden = max(placed.head / length - beyond, 0.0), max(placed.tail / length - beyond, 0.0)
         long_ago = stale > 0 or lapse**2 > _LONG_AGO
         bridge = along[gap[1]] - along[gap[0]]
-        strayed = beyond_rest(placed.apart, motion, grain)
+        strayed = beyond_rest(placed.apart, motion, resolution)
         shown = (
             FREE if first == UNKNOWN and hidden[0] <= 0 and cut_head <= -_OWN else first,
             FREE if second == UNKNOWN and hidden[1] <= 0 and cut_tail <= -_OWN else second,
@@ -175,14 +175,14 @@ def match_to_rope(
     now.gap[0], now.gap[1], now.between, now.tolerance = gap[0], gap[1], placed.between, slack / length
     now.stretch = (length - hidden_length) / max(along[last] + placed.between * (gap[1] > gap[0]), 1e-9)
     changed = abs(now.hidden[0] - was.hidden[0]) + abs(now.hidden[1] - was.hidden[1])
-    now.surprise = max(changed, (2 if metric else 1) * abs(now.stretch - 1))
+    now.innovation = max(changed, (2 if metric else 1) * abs(now.stretch - 1))
     now.measured = was.measured if hidden_length > least else along[last]
     return after, evened(metres, arc, length) if metric and hidden_length <= 0 else along
 
 
 @compiled
 def _compared(points: Array, relief: Array, nodes: Array, node_relief: Array) -> tuple[Array, Array]:
-    """Return a curve and predicted nodes with their relief, if that of both is known."""
+    """Return a curve and predicted nodes with their log-depth, if that of both is known."""
     if len(relief) > 0 and len(node_relief) > 0:
         return with_relief(points, relief), with_relief(nodes, node_relief)
     return points, nodes
@@ -191,7 +191,7 @@ def _compared(points: Array, relief: Array, nodes: Array, node_relief: Array) ->
 @compiled
 def _begin(rope: Any, shapes: Array, width: float) -> None:
     """Forget all but the length of a rope, and remember the tips as they look now."""
-    rope.drift = rope.tolerance = rope.measured = rope.rival = rope.between = rope.surprise = 0.0
+    rope.drift = rope.tolerance = rope.measured = rope.rival = rope.between = rope.innovation = 0.0
     rope.stretch = rope.shape_innovation = rope.pose_innovation = 1.0
     rope.tips_known = len(shapes) > 0
     for end in range(2):

@@ -1,4 +1,4 @@
-"""What a track knows of a rope: one record that Python and compiled code share, copied and pickled as an array is."""
+"""What a track stores of a rope: one record that Python and compiled code share, copied and pickled as an array is."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ RopeState: Final = np.dtype(
         ("gap", "i8", 2),  # the last point of the curve before its widest bridged piece and the first after; or equal
         ("between", "f8"),  # by how much that piece is longer than it is bridged
         ("rival", "f8"),  # share of its length that may be hidden elsewhere, see ``Placed``
-        ("surprise", "f8"),  # by which share of its length other parts are hidden than before, or by which it is off
+        ("innovation", "f8"),  # by which share of its length other parts are hidden than before, or by which it is off
     ],
     align=True,
 )
@@ -46,7 +46,7 @@ _SPREAD: Final = (0.003, 0.006)  # of a length in pixels and in metres, before a
 
 
 def new_rope(metres: float = 0.0) -> State:
-    """Return the state ``(1,)`` of a rope of which nothing is known but perhaps its length in metres."""
+    """Return the state ``(1,)`` of a new rope, whose length in metres may be known."""
     state = np.zeros(1, RopeState)
     state["metres"], state["stretch"] = metres, 1.0
     state["shape_innovation"] = state["pose_innovation"] = 1.0
