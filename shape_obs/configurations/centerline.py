@@ -30,7 +30,7 @@ from shape_obs.initialization.ropes import find_ropes
 from shape_obs.point_cloud.lifting import nearest_expected
 from shape_obs.tracking.complete import complete_chain
 from shape_obs.tracking.occluders import Tips
-from shape_obs.tracking.occlusion import ambiguity_of, expected_rope, is_plain, is_whole, match_chain, shown
+from shape_obs.tracking.occlusion import ambiguity_of, expected_rope, is_whole, match_chain, shown
 from shape_obs.tracking.predicted_rope import least_doubt, visible_nodes
 from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.rope_match import ADRIFT, match_to_rope
@@ -124,15 +124,15 @@ class Centerline(Configuration, kind="centerline"):
             found = self._fit_initial(observed, prediction, scene)
         if prediction is not None and (found.form is None or (found.reason and not found.form.ambiguity)):
             sigmas = _SIGMAS_STEADY if prediction.steady else _SIGMAS_AREA_CHANGED
-            start = visible_nodes(prediction) if prediction.hints.hides else prediction
+            start = visible_nodes(prediction) if prediction.hints.rope["hides"][0] else prediction
             found = self._refine(observed, start.nodes, start.relief, sigmas, width, MAX_HIDDEN, prediction, scene)
-            off = np.inf if found.reason else found.form.rope["innovation"][0]
+            off = np.inf if found.reason else found.form.hints.rope["innovation"][0]
             more = observed.area / max(prediction.size * width, 1e-9) if observed.dimension == 2 else 1.0
             if more > _MORE and found.reason and not prediction.stale:  # noise, or another object: no time is lost
                 return Fit(reason=f"the mask has {more:.2g} times as many pixels as the rope (at most {_MORE:.2g})")
             if off > MAX_SIZE_CHANGE:  # of another length, or the chain lost its way: an initial axis decides
                 again = self._fit_initial(observed, prediction, scene)
-                better = not again.reason and (again.form.rope["innovation"][0] <= off or is_whole(again.form))
+                better = not again.reason and (again.form.hints.rope["innovation"][0] <= off or is_whole(again.form))
                 found = again if better else found
         if found.reason:
             return found
@@ -154,17 +154,18 @@ class Centerline(Configuration, kind="centerline"):
             reason = "the depth shows too little of the rope to measure its length"
         return found._replace(
             form=curve, nodes=nodes, topology=topology, size=size, width=seen_width, reason=reason, follow=follow,
-            relief=None if curve.relief is None else relief, length=float(curve.rope["metres"][0]) or found.length,
+            relief=None if curve.relief is None else relief,
+            length=float(curve.hints.rope["metres"][0]) or found.length,
         )  # fmt: skip
 
     def _lost_its_length(self, observed: Observed, prediction: Prediction | None) -> bool:
         """Return whether a rope in an image, whose points lie at equal steps in space, is no longer measured there."""
-        known = prediction is not None and prediction.rope["metres"][0] > 0
+        known = prediction is not None and prediction.hints.rope["metres"][0] > 0
         return known and observed.dimension == 2 and self.spacing == "m"
 
     def _reason_of(self, curve: FittedCurve, seen: float) -> str:
         """Return why a matched curve may be wrong, or shows too little of the rope; empty if it does not."""
-        rope = curve.rope
+        rope = curve.hints.rope
         least = _MIN_IN_PIECES if 1 - seen - sum(rope["hidden"][0]) > _GAP else _MIN_SEEN
         if seen < least:
             return f"{seen:.0%} of the rope is in sight (at least {least:.0%})"
@@ -219,14 +220,14 @@ class Centerline(Configuration, kind="centerline"):
             square, width = spread + cloud.hidden_variance, cloud.ribbon_width
             expected = expected_rope(prediction, ribbon, self.length or 0.0)
             state, stations = match_to_rope(points, arc, off, metres, deep, *tips, *expected, False)
-        plain, hints = is_plain(state), TrackHints(state)
+        plain, hints = state["plain"][0], TrackHints(state)
         known = (stations if plain else metres, None, deep) if len(metres) else (None, None, None)
         curve = FittedCurve(points, off, arc, False, *known, ribbon, hints=hints, ambiguity=ambiguity_of(state))
         if prediction is not None and not plain:
             curve = match_chain(curve, prediction, tips)  # an end under a hand is put back here
         reason, quality = validate_ribbon(curve, observed.noun, expected_off, square, width, area)
-        stretch, measured = max(float(curve.rope["stretch"][0]), 1e-9), curve.rope["measured"][0]
-        before = 0.0 if prediction is None else prediction.rope["measured"][0]
+        stretch, measured = max(float(curve.hints.rope["stretch"][0]), 1e-9), curve.hints.rope["measured"][0]
+        before = 0.0 if prediction is None else prediction.hints.rope["measured"][0]
         grown = curve.metres is not None and measured * _MIN_STRETCH > before > 0
         if not reason and grown and stretch < _MIN_STRETCH:
             reason = f"the curve is {1 / stretch - 1:.0%} longer than the rope"
@@ -243,7 +244,7 @@ class Centerline(Configuration, kind="centerline"):
     def resample(self, form: FittedCurve, metric: FittedCurve) -> Points:
         """Return points with equal chords, from tip to tip or at the centres of N pieces."""
         first = 0
-        if form.hints.hides:
+        if form.hints.rope is not None and form.hints.rope["hides"][0]:
             piece, same = shown(form), metric is form
             form, first = form.cut(piece), piece.start
             metric = form if same else metric.cut(piece)
@@ -292,4 +293,6 @@ def _epochs(sigmas: tuple[float, ...]) -> tuple[Array, float]:
 
 def _begins_again(curve: FittedCurve, prediction: Prediction | None) -> bool:
     """Return whether a rope is numbered by the paper's rule: at a cold start, or as a whole after a long loss."""
-    return prediction is None or (prediction.stale and max(curve.rope["hidden"][0]) <= curve.rope["tolerance"][0])
+    return prediction is None or (
+        prediction.stale and max(curve.hints.rope["hidden"][0]) <= curve.hints.rope["tolerance"][0]
+    )

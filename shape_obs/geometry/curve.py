@@ -34,15 +34,10 @@ class TrackHints(NamedTuple):
             else None.
     """
 
-    rope: npt.NDArray[Any] | None = None
+    rope: Any = None
     reference: Array | None = None
     turning: float | None = None
     sides: Array | None = None
-
-    @property
-    def hides(self) -> bool:
-        """Whether an end of an open curve is out of sight."""
-        return self.rope is not None and max(self.rope["hidden"][0]) > 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,12 +107,6 @@ class FittedCurve(FittedForm):
     def size(self) -> float:
         """Arc length from end to end, or once around."""
         return float(self.arc[-1])
-
-    @property
-    def rope(self) -> npt.NDArray[Any]:
-        """``(1,)`` what is known of an open curve that was matched to a track, see ``RopeState``."""
-        assert self.hints.rope is not None
-        return self.hints.rope
 
     @property
     def unsupported_fraction(self) -> float:

@@ -164,7 +164,7 @@ def moved(own: Track, other: Track, before: Lying) -> Track:
     velocity = np.broadcast_to(other.velocity.mean(axis=0), nodes.shape).copy()
     rope = None if own.hints.rope is None else own.hints.rope.copy()
     if rope is not None:
-        rope["hidden"] = rope["occluded"] = rope["folded"] = rope["drift"] = 0
+        rope["hidden"] = rope["hides"] = rope["occluded"] = rope["folded"] = rope["drift"] = 0
     hints = own.hints._replace(rope=rope)
     return own._replace(nodes=nodes, velocity=velocity, hints=hints, box=other.box, relief=None, climb=None)
 

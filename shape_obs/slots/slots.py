@@ -244,7 +244,7 @@ class Slots:
         found = tracker.spec.fit(observed, prediction, tracker.target(seen.moment), scene)
         known = None if prediction is None else prediction.hints.rope
         if meets and known is not None and known["frames"][0] > 0 and found.form is not None:
-            rope = found.form.rope.copy()
+            rope = found.form.hints.rope.copy()
             rope[LENGTH] = known[LENGTH]
             found = found._replace(form=replace(found.form, hints=found.form.hints._replace(rope=rope)))
         return Attempt(found, observed, prediction)

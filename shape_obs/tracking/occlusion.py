@@ -43,13 +43,7 @@ def expected_rope(prediction: Prediction | None, width: float, metres: float) ->
         return new_rope(metres), (float(width), 1.0, 1.0, 0.0, 0.0), _NO_NODES, _NOTHING
     moment = float(prediction.lapse), float(prediction.stale), float(prediction.motion)
     relief = _NOTHING if prediction.relief is None else prediction.relief
-    return prediction.rope, (float(width), float(prediction.resolution), *moment), prediction.nodes, relief
-
-
-def is_plain(rope: State) -> bool:
-    """Return whether a curve is all of a rope, in its direction, and no piece of it is bridged."""
-    first, last = rope["gap"][0]
-    return bool(rope["aligned"][0]) and first == last and max(rope["hidden"][0]) <= 0
+    return prediction.hints.rope, (float(width), float(prediction.resolution), *moment), prediction.nodes, relief
 
 
 def ambiguity_of(rope: State) -> str:
@@ -68,17 +62,17 @@ def match_chain(form: FittedCurve, prediction: Prediction, tips: Tips) -> Fitted
     Returns:
         The whole rope. Its hints hold what is known of it now.
     """
-    state, stations = form.rope, form.metres
+    state, stations = form.hints.rope, form.metres
     if not state["aligned"][0]:
         form, back = oriented(form, PredictedRope(prediction, form), tips)
         tips, known = tips.reversed() if back else tips, expected_rope(prediction, form.width, 0.0)
         state, stations = match_to_rope(*_seen(form), *tips, *known, True)
     hints, ambiguity = TrackHints(state), ambiguity_of(state) or form.ambiguity
-    if is_plain(state):
+    if state["plain"][0]:
         metres = None if form.metres is None else stations
         return replace(form, metres=metres, hints=hints, ambiguity=ambiguity)
     relief = _NOTHING if prediction.relief is None else prediction.relief
-    before, width = prediction.rope, float(prediction.width)
+    before, width = prediction.hints.rope, float(prediction.width)
     points, arc, flags, *measures = complete_chain(*_seen(form), before, state, width, prediction.nodes, relief)
     metres, pixels, deep = (each if len(each) else None for each in measures)
     return FittedCurve(points, flags, arc, False, metres, pixels, deep, form.width, hints=hints, ambiguity=ambiguity)
@@ -92,7 +86,8 @@ def _seen(form: FittedCurve) -> tuple[Array, Array, Mask, Array, Array]:
 
 def is_whole(form: FittedCurve) -> bool:
     """Return whether a form is as long in space as its rope, and nothing of it is hidden."""
-    return form.metres is not None and not form.hints.hides and abs(float(form.rope["stretch"][0]) - 1) <= _WHOLE
+    rope = form.hints.rope
+    return form.metres is not None and not rope["hides"][0] and abs(rope["stretch"][0] - 1) <= _WHOLE
 
 
 def shown(form: FittedCurve) -> slice:
@@ -100,9 +95,9 @@ def shown(form: FittedCurve) -> slice:
 
     Of an end that something hides, two thirds of what may be noise elsewhere.
     """
-    if not form.hints.hides:
+    rope = form.hints.rope
+    if rope is None or not rope["hides"][0]:
         return slice(None)
-    rope = form.rope
     share, (head, tail) = form.stations / form.stations[-1], rope["hidden"][0].tolist()
     least = [float(rope["tolerance"][0]) * (2 / 3 if over else 1) for over in rope["occluded"][0]]
     first = np.searchsorted(share, head - 1e-9) if head < least[0] else 0

@@ -110,7 +110,7 @@ class PredictedRope:
 
     def __init__(self, prediction: Prediction, form: FittedCurve | None = None) -> None:
         self.prediction = prediction
-        nodes, self.state = prediction.nodes, prediction.rope[0]
+        nodes, self.state = prediction.nodes, prediction.hints.rope[0]
         self.hidden, self.folded = self.state["hidden"].tolist(), self.state["folded"].tolist()
         deep = prediction.relief
         self.lifted = deep is not None and (form is None or form.relief is not None)

@@ -99,12 +99,6 @@ class Track(NamedTuple):
     relief: Array | None = None
     climb: Array | None = None
 
-    @property
-    def rope(self) -> npt.NDArray[Any]:
-        """``(1,)`` what is known of a rope, see ``RopeState``."""
-        assert self.hints.rope is not None
-        return self.hints.rope
-
 
 class Prediction(NamedTuple):
     """Where a shape should be.
@@ -140,12 +134,6 @@ class Prediction(NamedTuple):
     last: Array = np.empty((0, 2))
     seconds: float = math.inf
     reach: float = math.inf
-
-    @property
-    def rope(self) -> npt.NDArray[Any]:
-        """``(1,)`` what is known of a rope, see ``RopeState``."""
-        assert self.hints.rope is not None
-        return self.hints.rope
 
     @property
     def reference(self) -> Array:

@@ -94,7 +94,7 @@ def match_to_rope(
     last, metric, in_space, after = len(arc) - 1, len(metres) > 0, points.shape[1] == 3, known.copy()
     was, now, along, size = known[0], after[0], metres if metric else arc, metres[-1] if metric else 0.0
     width, resolution, lapse, stale, motion = expected
-    now.rival = 0.0
+    now.rival, now.plain = 0.0, False
     gap = _widest_gap(arc, flags)
     unbroken, length = gap[1] == gap[0] and not flags.any(), was.metres if metric else was.pixels
     if len(nodes) == 0 or length <= 0:
@@ -168,7 +168,8 @@ def match_to_rope(
         # A gap may be bridged too straight: then the rope is not shorter than it was.
         free = first == FREE and second == FREE and unbroken and missing > _BEYOND * noise
         shorten_length(now, arc[last], size, free)
-    now.hidden[0], now.hidden[1] = placed.head / length, placed.tail / length
+    now.hidden[0], now.hidden[1], now.hides = placed.head / length, placed.tail / length, hidden_length > 0
+    now.plain = gap[1] == gap[0] and not now.hides
     for end in range(2):
         now.occluded[end], now.folded[end] = ends[end] == HIDDEN, ends[end] == FREE
     now.occlusion[0], now.occlusion[1] = cut_head, cut_tail
@@ -193,7 +194,7 @@ def _begin(rope: Any, shapes: Array, width: float) -> None:
     """Forget all but the length of a rope, and remember the tips as they look now."""
     rope.drift = rope.tolerance = rope.measured = rope.rival = rope.between = rope.innovation = 0.0
     rope.stretch = rope.shape_innovation = rope.pose_innovation = 1.0
-    rope.tips_known = len(shapes) > 0
+    rope.tips_known, rope.hides, rope.plain = len(shapes) > 0, False, True
     for end in range(2):
         rope.hidden[end] = rope.occlusion[end] = rope.hold[end] = 0.0
         rope.occluded[end] = rope.folded[end] = rope.gap[end] = 0

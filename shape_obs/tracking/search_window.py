@@ -51,7 +51,9 @@ def predict_search_window(tracks: list[Track | None]) -> SearchWindow | None:
     left = top = width = math.inf
     right = bottom = -math.inf
     for track in tracks:
-        if track is None or track.box is None or track.hints.hides:
+        if track is None or track.box is None:
+            return None
+        if track.hints.rope is not None and track.hints.rope["hides"][0]:
             return None
         box, spare = track.box, _SPARE + track.drift
         left, top, width = min(left, box.left - spare), min(top, box.top - spare), min(width, track.width)

@@ -96,7 +96,7 @@ class Candidate(NamedTuple):
 def is_as_large(found: Fit, track: Track, now: float) -> bool:
     """Return whether a form is as large as the object that was tracked, and nothing of it is out of sight."""
     metres = getattr(found.form, "metres", None)
-    known = 0.0 if metres is None else float(track.rope["metres"][0])
+    known = 0.0 if metres is None else float(track.hints.rope["metres"][0])
     if metres is not None and known > 0:
         return found.form.whole and float(metres[-1]) >= WHOLE * known
     return found.form.whole and found.size >= (WHOLE - _FALLING * (now - track.stamp)) * track.size

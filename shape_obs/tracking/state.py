@@ -33,6 +33,8 @@ RopeState: Final = np.dtype(
         ("short", "f8"),  # frames in a row in which it was shorter than noise explains, though nothing hid it
         # What the last frame's match found, besides the above.
         ("aligned", "?"),  # whether the curve clearly runs in the direction of the rope
+        ("hides", "?"),  # whether an end is out of sight
+        ("plain", "?"),  # whether the curve is aligned, no end is out of sight and no piece is bridged
         ("gap", "i8", 2),  # the last point of the curve before its widest bridged piece and the first after; or equal
         ("between", "f8"),  # by how much that piece is longer than it is bridged
         ("rival", "f8"),  # share of its length that may be hidden elsewhere, see ``Placed``

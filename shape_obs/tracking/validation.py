@@ -125,7 +125,7 @@ def validate_ribbon(
 
 def doubt_in_space(curve: FittedCurve) -> str:
     """Return why the points of a rope may lie elsewhere along a curve that was found in space; empty if they do not."""
-    rope = curve.rope
+    rope = curve.hints.rope
     stretch, occluded, log_odds = float(rope["stretch"][0]), rope["occluded"][0], rope["occlusion"][0]
     missing = sum(rope["hidden"][0])
     if stretch > 1 + max(_SHORTER * rope["tolerance"][0], _SHORT * rope["metres_spread"][0]):

@@ -73,6 +73,8 @@ _ASKED: Final[tuple[dict[str, Any], ...]] = (
     {}, {"spacing": "m"}, {"ends": "tips"}, {}, {"order": "image"}, {"lift": "cloud"}, {"radius": 0.006},
     {"fewer": True},
 )  # fmt: skip
+# Rows in which the last digit decides between two numberings, so that other versions of NumPy give another one.
+_LEFT_OUT: Final = {19, 48}
 _KINDS: Final = {Rope: "centerline", Blob: "contour", Sheet: "surface"}
 
 
@@ -84,7 +86,7 @@ def table() -> dict[str, Callable[[], Stream]]:
         for levels in (_BODIES, _MOTIONS, _RATES, _PACES, _TIMES, _DEPTHS, _COVERS, _CAMERAS, _SIZES, _ASKED)
     ]
     rows = enumerate(zip(*columns, strict=True))
-    named = {f"varied_{k:02}_{row[0]}_{row[2]}hz".replace(" ", "_"): (k, row) for k, row in rows}
+    named = {f"varied_{k:02}_{row[0]}_{row[2]}hz".replace(" ", "_"): (k, row) for k, row in rows if k not in _LEFT_OUT}
     return {name: partial(_stream, name, *given) for name, given in named.items()}
 
 

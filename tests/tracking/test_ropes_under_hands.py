@@ -282,7 +282,7 @@ def test_it_is_in_doubt_which_end_is_missing_where_a_free_end_may_be_folded_back
     form = FittedCurve.through(points, np.zeros(64, bool))
     form = replace(form, hints=TrackHints(new_rope()))
     found = match_chain(form, known, Tips((HIDDEN, FREE)))
-    assert found.rope["hidden"][0] == pytest.approx((0.3, 0.0), abs=0.08)
+    assert found.hints.rope["hidden"][0] == pytest.approx((0.3, 0.0), abs=0.08)
     assert ("in doubt which end" in found.ambiguity) == in_doubt
 
 
