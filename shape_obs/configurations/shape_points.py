@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import Intrinsics
+from shape_obs.camera import Intrinsics, viewing_rays
 from shape_obs.configurations.base import Configuration, Points
 from shape_obs.configurations.points_in_image import Seen, seen_points
 from shape_obs.frame import Frame
@@ -15,8 +15,9 @@ from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.lattice import FittedLattice
 from shape_obs.geometry.topology import Grid
 from shape_obs.point_cloud.lifting import form_depth, lift_form
+from shape_obs.point_cloud.local_depth import median_depth
 from shape_obs.shape import Shape
-from shape_obs.tracking.belief import error_on_sheet, errors_in_cloud, known_layout, point_errors
+from shape_obs.tracking.belief import error_on_sheet, errors_in_cloud, known_layout, point_errors, stereo_noise
 from shape_obs.tracking.missing import OnInvalid, fill_invalid
 from shape_obs.tracking.occlusion import shown
 from shape_obs.tracking.prediction import Fit
@@ -167,4 +168,4 @@ def _inwards(curve: FittedCurve) -> Array:
     return across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
 
 
-SHAPE_FUNCTIONS: Final = seen_points, point_errors
+SHAPE_FUNCTIONS: Final = seen_points, point_errors, median_depth, viewing_rays, stereo_noise

@@ -34,7 +34,7 @@ from shape_obs.geometry.lattice import (
     uneven_places,
 )
 from shape_obs.geometry.observed import Observed
-from shape_obs.geometry.topology import Grid, fill_lattice, undo_shrinkage
+from shape_obs.geometry.topology import Grid, undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells
 from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Indices, Rim
@@ -298,7 +298,7 @@ class Surface(Configuration, kind="surface"):
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
         maps = (batch_epochs, gather_cells, undo_shrinkage) if self.epochs else ()
-        return SHEET_FUNCTIONS + ISOMETRY_FUNCTIONS + (uneven_places, blend_sides, fill_lattice) + maps
+        return SHEET_FUNCTIONS + ISOMETRY_FUNCTIONS + (uneven_places, blend_sides) + maps
 
 
 def _corners(nodes: Array) -> Array:
