@@ -23,7 +23,7 @@ from shape_obs.tracking.state import RopeState, State  # noqa: F401 - the first 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-_STRETCH: Final = 1.3  # a predicted piece is not laid into a gap that is this much wider or narrower
+_STRETCH: Final = 1.3  # times: a gap that is so much wider or narrower than the predicted piece stays straight
 _LONG: Final = 0.06  # of the length: next to a hidden end that is shorter, the visible piece stays as it is
 _TURN: Final = 0.06  # of the length, at most: so much next to what lies behind the rope is off by up to 2 gaps of 20
 _LEVELLING: Final = 0.1  # of the log-depth of what is hidden, lost in a frame: it is as deep as what is seen next to it

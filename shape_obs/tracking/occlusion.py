@@ -23,7 +23,6 @@ from shape_obs.tracking.state import State, new_rope
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-Ends = tuple[int, int]
 
 _NOTHING: Final = np.zeros(0)
 _NO_NODES: Final = np.zeros((0, 2))

@@ -286,7 +286,7 @@ def disagreement(points: Array, share: Array, found: Array, head: float, tail: f
     return max(square - 2 * turned, 0.0) / probes, away / probes
 
 
-@compiled("(f8[::1], UniTuple(i8, 2), f8)")
+@compiled
 def widened(stations: Array, gap: tuple[int, int], more: float) -> Array:
     """Return stations with a gap that is longer."""
     out = stations.copy()

@@ -96,15 +96,13 @@ def match_to_rope(
     width, resolution, lapse, stale, motion = expected
     now.rival, now.plain = 0.0, False
     gap = _widest_gap(arc, flags)
-    unbroken, length = gap[1] == gap[0] and not flags.any(), was.metres if metric else was.pixels
-    if len(nodes) == 0 or length <= 0:
-        now.aligned = len(nodes) == 0 or aligned or _is_along(*_compared(points, relief, nodes, node_relief))
-        if now.aligned:
-            _begin(now, shapes, width)
-            learn_length(now, arc[last], size, HIDDEN not in ends, not flags.any())
-        return after, along
+    unbroken, length = not flags.any(), was.metres if metric else was.pixels
     found, predicted = _compared(points, relief, nodes, node_relief)
-    now.aligned = aligned or _is_along(found, predicted)
+    now.aligned = len(nodes) == 0 or aligned or _is_along(found, predicted)
+    if now.aligned and (len(nodes) == 0 or length <= 0):
+        _begin(now, shapes, width)
+        learn_length(now, arc[last], size, HIDDEN not in ends, unbroken)
+        return after, along
     if not now.aligned:
         return after, along
     rope, share = from_tip_to_tip(predicted)
@@ -239,9 +237,12 @@ def _widest_gap(arc: Array, flags: Mask) -> tuple[int, int]:
     return (start, stop) if stop > start + 1 else (0, 0)
 
 
-@compiled("(f8[::1], f8[::1], f8)")
+@compiled
 def evened(stations: Array, arc: Array, length: float) -> Array:
-    """Return stations in metres that span a length, see ``_stretched``."""
+    """Return stations in metres that span a length: what was measured too short or too long is so where it is steep.
+
+    Where a rope runs towards the camera, a pixel holds much of it.
+    """
     step, pixels = np.diff(stations), np.maximum(np.diff(arc), 1e-9)
     usual = np.median(step / pixels)
     weight = step * (_EVENLY + np.maximum((step / pixels / usual) ** 2 - 1, 0.0))
