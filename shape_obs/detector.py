@@ -37,7 +37,7 @@ from shape_obs.shape import Detection, Shape
 from shape_obs.slots import SLOT_FUNCTIONS, Slots
 from shape_obs.tracker import Moment, Tracker
 from shape_obs.tracking.clock import Clock
-from shape_obs.tracking.prediction import Fit
+from shape_obs.tracking.predict import Fit
 from shape_obs.tracking.search_window import RegionSearch
 from shape_obs.tracking.speed_gate import TRACK_FUNCTIONS
 from shape_obs.utils.threads import use_no_threads_in_forked_children

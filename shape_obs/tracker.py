@@ -20,8 +20,8 @@ from shape_obs.geometry.observed import Observed
 from shape_obs.shape import Shape
 from shape_obs.tracking.clock import Clock
 from shape_obs.tracking.missing import lost_shape
-from shape_obs.tracking.predicted_rope import direction
-from shape_obs.tracking.prediction import Fit, Prediction, Track, advance, predict
+from shape_obs.tracking.predict import Fit, Prediction, Track, advance, predict
+from shape_obs.tracking.register_chain import direction
 from shape_obs.tracking.speed_gate import LARGER, WHOLE, Candidate, SpeedGate, View, is_as_large
 from shape_obs.tracking.validation import MAX_OFF
 
@@ -211,7 +211,7 @@ class Tracker:
             found = spec.fit(observed, None, observed.seen(head, head)[0], scene)
             if found.reason or found.nodes is None or not is_as_large(found, track, now):
                 return found
-            own = direction(found.nodes, expected) <= 0
+            own = direction(found.nodes, expected.last, expected.reach) <= 0
             found = spec.fit(observed, None, self.target(moment, again=True), scene) if own else found
         begun = advance(None, found._replace(track_id=track.track_id), observed, now)
         self._candidate = Candidate(begun, now, 0, 0 if before is None else before.refused + 1, not own, own)

@@ -20,7 +20,7 @@ from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.initialization.objects import SceneObject, find_components
 from shape_obs.spec import Spec, did_you_mean
-from shape_obs.tracking.prediction import Fit, Prediction
+from shape_obs.tracking.predict import Fit, Prediction
 from shape_obs.utils.lengths import warn_unless_metres
 
 #: Take the order of the points from the previous frame, or from the image alone.

@@ -1,4 +1,4 @@
-"""A rope in a mask: fitted and matched to what is known of it in one compiled call; points and nodes along it."""
+"""A rope's points: spread evenly along its curve, in the image or in space."""
 
 from __future__ import annotations
 
@@ -8,45 +8,20 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.configurations.chain_in_mask import Drawn, fit_chain_in_mask
-from shape_obs.frame import DEPTH_TYPE, DepthImages
 from shape_obs.geometry.curve import local_stretch, nearest_along, with_relief
-from shape_obs.geometry.polyline import MAX_SHIFT, arc_length, equal_chords, even_points, interpolate
-from shape_obs.tracking.rope_match import Expected, match_to_rope
-from shape_obs.tracking.state import RopeState, State  # noqa: F401 - the first in a signature
+from shape_obs.geometry.polyline import MAX_SHIFT, equal_chords, interpolate
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]
 
 _NEAR: Final = 0.04  # of its length: so near to a piece that is seen end-on points are off
 
 
-@compiled(
-    "(i8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, i8, UniTuple(i8, 4), RopeState[::1], UniTuple(f8, 5), f8[:,::1], "
-    "f8[::1], u1[:,::1], UniTuple(i8, 2), " + DEPTH_TYPE + ", f8[::1])"
-)
-def follow_chain_in_mask(
-    runs: Indices, start: Array, relief: Array, sigmas: Array, pull: float, cell: int,
-    edge: tuple[int, int, int, int], known: State, expected: Expected, nodes: Array, node_relief: Array,
-    mask: Mask, at: tuple[int, int], depth: DepthImages, lens: Array,
-) -> tuple[Drawn, tuple[State, Array]]:  # fmt: skip
-    """Fit the curve of a rope in a mask, and find out which piece of the rope it is.
-
-    Returns:
-        What ``fit_chain_in_mask`` and ``match_to_rope`` return, where the arguments are described too.
-    """
-    drawn = fit_chain_in_mask(runs, mask, at, start, relief, sigmas, pull, cell, expected[0], depth, lens, edge)
-    curve, arc, off, metres, deep, _, ends, shapes = drawn
-    match = match_to_rope(curve, arc, off, metres, deep, ends, shapes, known, expected, nodes, node_relief, False)
-    return drawn, match
-
-
-@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], f8[::1], f8[::1], b1[::1], i8, b1, b1, f8)")
+@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], f8[::1], f8[::1], b1[::1], i8, i8, i8, b1, b1, f8)")
 def points_along(
     points: Array, arc: Array, metric: Array, metric_arc: Array, metres: Array, pixels: Array, relief: Array,
-    flags: Flags, count: int, tips: bool, in_metres: bool, reach: float,
+    flags: Flags, first: int, past: int, count: int, tips: bool, in_metres: bool, reach: float,
 ) -> tuple[Array, Flags, Indices, Array, Array]:  # fmt: skip
     """Spread points along a curve: with equal steps of a measure along it, else with equal chords.
 
@@ -59,6 +34,8 @@ def points_along(
         pixels: ``(P,)`` arc length in the image of a curve with hidden pieces; ``(0,)`` for equal chords.
         relief: ``(P,)`` see ``FittedCurve.relief``, or ``(0,)``.
         flags: ``(P,)`` what is interpolated.
+        first: The first point of the piece over which they are spread.
+        past: The one past the last.
         count: How many points, N.
         tips: Whether the first and the last lie at the ends; else all lie at the centres of N equal pieces.
         in_metres: Whether the steps are equal in metres, if these are known.
@@ -68,6 +45,11 @@ def points_along(
         ``(N, D)`` the points; ``(N,)`` whether they are interpolated; ``(N,)`` which of the curve's points is nearest
         along it; ``(N,)`` their relief; ``(N,)`` how much longer the curve is near there in space than in the image.
     """
+    if past - first < len(arc):
+        points, metric, flags, arc = points[first:past], metric[first:past], flags[first:past], _from(arc, first, past)
+        metric_arc, metres = _from(metric_arc, first, past), _from(metres, first, past)
+        pixels = _from(pixels, first, past)
+        relief = relief[first:past] if len(relief) > 0 else relief
     last, at, along = len(arc) - 1, np.empty(count), metres if in_metres and len(metres) > 0 else pixels
     if len(along) > 0:
         for n in range(count):
@@ -89,27 +71,12 @@ def points_along(
             for p in range(last + 1):
                 if abs(along[p] - along[nearest[n]]) <= _NEAR * along[last]:
                     steep[n] = max(steep[n], stretched[p])
+    for n in range(count):
+        nearest[n] += first
     return places, interpolated, nearest, deep, steep
 
 
-@compiled("(f8[:,::1], f8[::1], f8[::1], f8[::1], f8[::1], i8)")
-def nodes_along(
-    points: Array, arc: Array, metres: Array, pixels: Array, relief: Array, count: int
-) -> tuple[Array, Array, float]:
-    """Return the middles of equal pieces of a curve, their relief, and how long it is in space over the image.
-
-    Args:
-        points: ``(P, D)``.
-        arc: ``(P,)`` its arc length.
-        metres: ``(P,)`` the measure in which the pieces are equal, if it is known, else ``(0,)``.
-        pixels: ``(P,)`` the measure otherwise; ``(0,)`` for ``arc``.
-        relief: ``(P,)`` see ``FittedCurve.relief``; ``(0,)`` without, then its nodes' is empty and the ratio 1.
-        count: How many pieces.
-    """
-    along = metres if len(metres) > 0 else pixels if len(pixels) > 0 else arc
-    nodes = even_points(points, along, count, True)
-    if len(relief) == 0:
-        return nodes, relief, 1.0
-    longer = arc_length(with_relief(points, relief))[-1]
-    deep = even_points(relief.reshape(-1, 1), along, count, True).reshape(count)
-    return nodes, deep, longer / max(arc[-1], 1e-9)
+@compiled
+def _from(along: Array, first: int, past: int) -> Array:
+    """Return a piece of a measure along a curve, which begins with 0; ``(0,)`` where the measure is not known."""
+    return along[first:past] - along[first] if len(along) > 0 else along

@@ -18,7 +18,7 @@ from shape_obs.geometry.lattice import FittedLattice
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import nearest_on
 from shape_obs.geometry.topology import Grid
-from shape_obs.tracking.prediction import Fit
+from shape_obs.tracking.predict import Fit
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]

@@ -28,7 +28,7 @@ from shape_obs.image.outline_tracing import trace_hole
 from shape_obs.image.region import Region
 from shape_obs.tracking.hidden_border import look_around, rim_depth
 from shape_obs.tracking.hidden_outline import complete_outline, hidden_pieces, nearest_places, sticks_out
-from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
+from shape_obs.tracking.predict import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.registration import begin_outline, follow_outline, match_outline, renumber_outline
 from shape_obs.tracking.registration_in_space import blend_space, index_shift_space
 from shape_obs.tracking.validation import outline_miss, validate_outline

@@ -19,8 +19,7 @@ from shape_obs.point_cloud.local_depth import median_depth
 from shape_obs.shape import Shape
 from shape_obs.tracking.belief import error_on_sheet, errors_in_cloud, known_layout, point_errors, stereo_noise
 from shape_obs.tracking.missing import OnInvalid, fill_invalid
-from shape_obs.tracking.occlusion import shown
-from shape_obs.tracking.prediction import Fit
+from shape_obs.tracking.predict import Fit
 from shape_obs.tracking.validation import validate_gaps
 
 if TYPE_CHECKING:
@@ -105,7 +104,7 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame, diagonal: fl
     metric, under = form, None
     if depth is not None and camera is not None:
         curve = form if isinstance(form, FittedCurve) else None
-        in_pieces = curve is not None and not curve.whole and bool(curve.interpolated[shown(curve)].any())
+        in_pieces = curve is not None and not curve.whole and _is_bridged(curve)
         uneven = spec.spacing == "m" and (curve is None or (curve.metres is None and curve.space is None))
         if uneven or in_pieces:
             under = form_depth(form, depth, region, width)
@@ -127,6 +126,13 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame, diagonal: fl
         _NOTHING if off is None else off, found.size, frame.images, region.mask, region.window[:2], width, lens,
         spec.radius, *known_layout(spec.layout), columns, diagonal,
     )  # fmt: skip
+
+
+def _is_bridged(curve: FittedCurve) -> bool:
+    """Return whether a piece of a curve is interpolated over which points are spread."""
+    rope = curve.hints.rope
+    first, past = (0, len(curve.points)) if rope is None else rope["shown"][0].tolist()
+    return bool(curve.interpolated[first:past].any())
 
 
 def _points_in_cloud(

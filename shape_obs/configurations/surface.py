@@ -40,7 +40,7 @@ from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Indices, Rim
 from shape_obs.tracking.corner_matching import STRAYED, match_corners
 from shape_obs.tracking.isometry import ISOMETRY_FUNCTIONS, Isometry
-from shape_obs.tracking.prediction import MAX_SIZE_CHANGE, Fit, Prediction
+from shape_obs.tracking.predict import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.sheet_view import KnownSheet, SheetView, doubtful_places
 from shape_obs.tracking.validation import MAX_HIDDEN, FitQuality, validate_sheet
 

@@ -139,15 +139,6 @@ class FittedCurve(FittedForm):
             return np.ones(len(self.points))
         return local_stretch(self.arc, self.lifted, reach)
 
-    def cut(self, piece: slice) -> Self:
-        """Return a piece of an open curve."""
-        metres, pixels = (
-            None if along is None else along[piece] - along[piece][0] for along in (self.metres, self.pixels)
-        )
-        cut = self.with_geometry(self.points[piece].copy(), self.interpolated[piece])
-        relief = None if self.relief is None else self.relief[piece].copy()
-        return replace(cut, metres=metres, pixels=pixels, relief=relief)
-
     def at(self, arc: npt.ArrayLike) -> Array:
         """Return ``(N, D)`` points at ``(N,)`` arc positions; a closed curve wraps around."""
         at = np.ascontiguousarray(arc, dtype=np.float64)
@@ -197,17 +188,12 @@ class FittedCurve(FittedForm):
     def reversed(self) -> FittedCurve:
         """Return the same curve run through backwards; if closed, the first point stays the first."""
         if not self.closed:
-            hints = self.hints
-            if hints.rope is not None:
-                rope = hints.rope.copy()
-                rope["hidden"] = hints.rope["hidden"][:, ::-1]
-                hints = hints._replace(rope=rope)
             metres, pixels = (
                 None if along is None else along[-1] - along[::-1] for along in (self.metres, self.pixels)
             )
             back = self.with_geometry(self.points[::-1].copy(), self.interpolated[::-1].copy())
             relief = None if self.relief is None else self.relief[::-1].copy()
-            return replace(back, hints=hints, metres=metres, pixels=pixels, relief=relief)
+            return replace(back, metres=metres, pixels=pixels, relief=relief)
         back = -np.arange(len(self.points))
         return self.with_geometry(self.points[back], self.interpolated[back])
 

@@ -15,7 +15,7 @@ from shape_obs.image.region import Region
 from shape_obs.image.sharing import CLOSE, share
 from shape_obs.tracker import Moment
 from shape_obs.tracking.exchanges import exchange_gain
-from shape_obs.tracking.prediction import Fit, Prediction, Track, length_in_image
+from shape_obs.tracking.predict import Fit, Prediction, Track, length_in_image
 from shape_obs.tracking.scene_doubt import (
     changed_sides,
     claims_the_same,

@@ -15,7 +15,7 @@ from shape_obs.compiled import compiled
 from shape_obs.geometry.polyline import interpolate
 from shape_obs.geometry.rotation import fit
 from shape_obs.slots.attempts import Attempt, Seen, in_image
-from shape_obs.tracking.prediction import Track
+from shape_obs.tracking.predict import Track
 from shape_obs.tracking.scene_doubt import nearest_distances
 from shape_obs.tracking.state import State
 

@@ -33,7 +33,7 @@ from shape_obs.slots.attempts import (
 from shape_obs.slots.passages import Lying, Passages, better, change_of_headings, lying_of, moved
 from shape_obs.tracker import Moment, Tracker
 from shape_obs.tracking.exchanges import meetings
-from shape_obs.tracking.prediction import Fit, length_in_image
+from shape_obs.tracking.predict import Fit, length_in_image
 from shape_obs.tracking.scene_doubt import bending_energy, nearest_distances, sharp_turns, side_distances
 from shape_obs.tracking.seats import add_pieces, near_tracks, seat_others, seat_tracked
 from shape_obs.tracking.state import LENGTH

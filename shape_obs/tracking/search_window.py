@@ -19,7 +19,7 @@ from shape_obs.image.mask_check import checked_mask
 from shape_obs.image.region import Region
 from shape_obs.image.roi import ROI, Window
 from shape_obs.image.segmentation import Expected, FollowingRule, Segmentation
-from shape_obs.tracking.prediction import Track
+from shape_obs.tracking.predict import Track
 
 if TYPE_CHECKING:
     from shape_obs.point_cloud.deprojection import SeenCloud

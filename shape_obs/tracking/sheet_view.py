@@ -19,7 +19,7 @@ from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Rim
 from shape_obs.tracking.corner_matching import assign_corners, known_slack, zoom_of
 from shape_obs.tracking.hidden_border import Border, Lens, complete_border, look_around
-from shape_obs.tracking.prediction import Prediction
+from shape_obs.tracking.predict import Prediction
 
 if TYPE_CHECKING:
     from shape_obs.camera import Intrinsics

@@ -18,7 +18,7 @@ from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages
 from shape_obs.geometry.observed import Observed
 from shape_obs.image.connected_runs import nearest_pixel
-from shape_obs.tracking.prediction import Fit, Prediction, Track, extrapolated, predict, rates
+from shape_obs.tracking.predict import Fit, Prediction, Track, extrapolated, predict, rates
 
 Array = npt.NDArray[np.float64]
 

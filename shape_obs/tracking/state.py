@@ -31,20 +31,29 @@ RopeState: Final = np.dtype(
         ("metres_spread", "f8"),  # the same of the length in metres: noise and oblique views
         ("frames", "f8"),  # in how many all of it was seen
         ("short", "f8"),  # frames in a row in which it was shorter than noise explains, though nothing hid it
-        # What the last frame's match found, besides the above.
-        ("aligned", "?"),  # whether the curve clearly runs in the direction of the rope
+        # What the last frame showed, besides the above.
         ("hides", "?"),  # whether an end is out of sight
-        ("plain", "?"),  # whether the curve is aligned, no end is out of sight and no piece is bridged
+        ("plain", "?"),  # whether no end is out of sight and no piece is bridged
         ("gap", "i8", 2),  # the last point of the curve before its widest bridged piece and the first after; or equal
         ("between", "f8"),  # by how much that piece is longer than it is bridged
         ("rival", "f8"),  # share of its length that may be hidden elsewhere, see ``Placed``
         ("innovation", "f8"),  # by which share of its length other parts are hidden than before, or by which it is off
+        ("unclear", "?"),  # whether its direction is not clear
+        ("shown", "i8", 2),  # the points of its curve over which a shape's are spread: the first, the one past the last
+        ("width", "f8"),  # of what is seen of it, pixels; 0 in a cloud
+        ("steep", "f8"),  # how much longer it is in space than in the image
+        ("quality", "f8"),  # of the fit, 0...1
+        ("refusal", "i8"),  # why its points may be wrong, see ``judge_chain``; 0 if they are not
+        ("figures", "f8", 2),  # what was found and what is allowed, for the sentence that says so
+        ("follow", "?"),  # whether the track goes on with a curve that was refused
     ],
     align=True,
 )
 #: What is known of its length.
 LENGTH: Final = ["pixels", "metres", "pixels_spread", "metres_spread", "frames", "short"]
 _SPREAD: Final = (0.003, 0.006)  # of a length in pixels and in metres, before any was measured
+#: What is known of its two ends.
+_ENDS: Final = ["hidden"]
 
 
 def new_rope(metres: float = 0.0) -> State:
@@ -54,3 +63,18 @@ def new_rope(metres: float = 0.0) -> State:
     state["shape_innovation"] = state["pose_innovation"] = 1.0
     state["pixels_spread"], state["metres_spread"] = _SPREAD
     return state
+
+
+def reversed_rope(rope: State, points: int) -> State:
+    """Return the state of the same rope, which begins at its other end.
+
+    Args:
+        rope: ``(1,)``.
+        points: Of its curve.
+    """
+    back = rope.copy()
+    for name in _ENDS:
+        back[name] = rope[name][:, ::-1]
+    #back["tips"] = rope["tips"][:, :, ::-1]
+    back["shown"] = points - rope["shown"][:, ::-1]
+    return back

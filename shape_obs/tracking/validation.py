@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from shape_obs.clustering.som import best_matching_units, nearest_around
 from shape_obs.compiled import compiled
-from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.topology import Grid
 
@@ -18,8 +17,6 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 MAX_OFF: Final = 0.10
-_MAX_SPREAD: Final = 0.40
-_IDEAL_SPREAD: Final = 12**-0.5
 _JUDGED: Final = 150  # samples are enough to measure how far a mask spreads about a curve
 MAX_HIDDEN: Final = 0.75  # of a tracked shape
 # Of an outline: the staircase of pixels alone lies 0.25 px (0.12 samples) off the best curve, flipped border pixels
@@ -41,20 +38,6 @@ _MAX_UNEVEN: Final = 0.40
 # more are wrong, and of 1,663 frames with less three are. And by how many errors of a point gaps may differ.
 _MAX_UNEQUAL: Final = 0.03
 _OF_NOISE: Final = 0.8
-# Of a rope in space, if something hides one end: how much longer the other tip may be in space than in the image, or
-# another piece by this share of it, so that the length in sight shows how much lies beyond the hidden end; less if that
-# tip looks cut rather than the hidden end does.
-_ASLANT: Final = 2.7
-_ASLANT_CUT: Final = 2.0
-_ELSEWHERE: Final = 0.45
-# If nothing hides an end: how much of its length may be missing while both ends point at the camera; how steep a piece
-# may be while a tip does not look like the rope's own: where strands lie one behind the other, it may join them.
-_POINTING: Final = 0.016
-_STEEPEST: Final = 6.0
-# By how many measuring errors a rope may be too short, and standard deviations of its length, at least. All are chosen
-# from 40,000 frames of swung ropes and 7,900 under shadows, exact depth and a D455's.
-_SHORTER: Final = 1.4
-_SHORT: Final = 2.5
 FOLDED: Final = "the gaps between the points differ in space: the sheet is folded or crumpled"
 
 
@@ -87,63 +70,6 @@ def validate_gaps(points: Array, valid: npt.NDArray[np.bool_], layout: Grid, err
         return ""
     unequal = np.abs(gaps / np.where(along, *means) - 1)[known].mean()
     return FOLDED if unequal > max(_MAX_UNEQUAL, _OF_NOISE * error / min(means)) else ""
-
-
-def validate_ribbon(
-    curve: FittedCurve, noun: str, expected_off: float, spread: float, width: float, area: float
-) -> FitQuality:
-    """Validate the axis of a ribbon or a rope.
-
-    Refused are a curve that leaves the object over 10 % more than ``expected_off`` explains, and an object that spreads
-    about the curve more than a ribbon does (rms distance over width, 0.289 for an ideal ribbon, at most 0.40).
-
-    Args:
-        curve: From end to end; interpolated is what lies off the object.
-        noun: What it was fitted to: ``"mask"`` or ``"cloud"``.
-        expected_off: The share of the curve that is known to be bridged or hidden.
-        spread: Mean square distance of the object from the curve, see ``sample_spread``.
-        width: Of the object; for a mask its area over the length that is seen.
-        area: Of a mask, pixels; 0 for a cloud.
-    """
-    unsupported = curve.unsupported_fraction if np.count_nonzero(curve.interpolated) else 0.0
-    hidden = min(unsupported, expected_off)
-    off = unsupported - hidden
-    if off > MAX_OFF:
-        return FitQuality(f"{off:.0%} of the curve lies off the {noun} (at most {MAX_OFF:.0%})", 0.0)
-    if area:
-        width = max(area / max(float(curve.arc[-1]) * (1 - hidden), 1e-9), 1.0)
-    ratio = spread**0.5 / max(width, 1e-9)
-    if ratio > _MAX_SPREAD:
-        return FitQuality(
-            f"the {noun} spreads {ratio:.2f} widths about the curve (a ribbon {_IDEAL_SPREAD:.2f}, "
-            f"at most {_MAX_SPREAD:.2f}): it is no single rope",
-            0.0,
-        )
-    excess = (ratio - _IDEAL_SPREAD) / (_MAX_SPREAD - _IDEAL_SPREAD)
-    return FitQuality("", ((1 - max(off, 0.0) / MAX_OFF) * min(max(1 - excess, 0.0), 1.0)) ** 0.5)
-
-
-def doubt_in_space(curve: FittedCurve) -> str:
-    """Return why the points of a rope may lie elsewhere along a curve that was found in space; empty if they do not."""
-    rope = curve.hints.rope
-    stretch, occluded, log_odds = float(rope["stretch"][0]), rope["occluded"][0], rope["occlusion"][0]
-    missing = sum(rope["hidden"][0])
-    if stretch > 1 + max(_SHORTER * rope["tolerance"][0], _SHORT * rope["metres_spread"][0]):
-        return f"the curve is {1 - 1 / stretch:.1%} shorter than the rope, and nothing is seen to hide an end"
-    if occluded[0] != occluded[1]:
-        steep, other = curve.steepness(curve.width / 2), 0 if occluded[1] else 1
-        aslant = max(float(steep[-other]), _ELSEWHERE * float(steep.max()))
-        most = _ASLANT_CUT if log_odds[other] > log_odds[1 - other] else _ASLANT
-        if aslant > most:
-            return f"an end is hidden, and the rope is {aslant:.2g} times as long as it looks (at most {most})"
-    if any(occluded):
-        return ""
-    if missing > _POINTING and not rope["folded"].any():
-        return f"both ends point at the camera, and {missing:.1%} of the rope is missing at one of them"
-    steepest = float(curve.steepness(curve.width / 2).max()) if max(log_odds) > 0 else 1.0
-    if steepest > _STEEPEST:
-        return f"a piece is seen end-on, {steepest:.2g} times as long as it looks (at most {_STEEPEST})"
-    return ""
 
 
 def validate_outline(observed: Observed, miss: float) -> FitQuality:

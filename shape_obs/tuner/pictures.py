@@ -13,7 +13,7 @@ from shape_obs.drawing import Image, draw_curve, draw_over, draw_text, enlarged,
 from shape_obs.geometry.observed import Samples
 from shape_obs.image.region import Region
 from shape_obs.image.roi import ROI, Whole
-from shape_obs.tracking.prediction import Fit
+from shape_obs.tracking.predict import Fit
 from shape_obs.tuner.result import Result
 
 #: Names of the stages, with what each picture shows.

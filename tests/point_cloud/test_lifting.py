@@ -16,7 +16,7 @@ from shape_obs.geometry.curve import FittedCurve
 from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
 from shape_obs.point_cloud.strands import gather_lifted_cells
-from shape_obs.tracking.prediction import Fit
+from shape_obs.tracking.predict import Fit
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
 

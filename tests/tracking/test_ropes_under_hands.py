@@ -16,7 +16,7 @@ from shape_obs.geometry.topology import Chain
 from shape_obs.tracking.occluders import FREE, HIDDEN, Tips
 from shape_obs.tracking.occlusion import match_chain
 from shape_obs.tracking.predicted_rope import PredictedRope
-from shape_obs.tracking.prediction import Prediction
+from shape_obs.tracking.predict import Prediction
 from shape_obs.tracking.state import new_rope
 from tests.benchmarks.hidden import track
 from tests.scenes.hidden_ropes import hidden_rope, hidden_ropes

@@ -18,7 +18,7 @@ from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.topology import Chain
 from shape_obs.image.roi import Window
 from shape_obs.tracking import search_window
-from shape_obs.tracking.prediction import Fit, Prediction, Track, advance, predict
+from shape_obs.tracking.predict import Fit, Prediction, Track, advance, predict
 from tests.scenes.beams import swinging_beam, tracked_beam
 
 NODES = np.stack([np.linspace(10, 90, 9), np.full(9, 50.0)], axis=1)

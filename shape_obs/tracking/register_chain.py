@@ -16,6 +16,7 @@ from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import local_stretch, with_relief
 from shape_obs.geometry.polyline import interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
+from shape_obs.tracking.judge_chain import ADRIFT
 from shape_obs.tracking.occluders import (
     FREE,
     HIDDEN,
@@ -26,7 +27,10 @@ from shape_obs.tracking.occluders import (
     remember_tips,
 )
 from shape_obs.tracking.placement import (
+    INDEPENDENT,
+    NOISE,
     PROBES,
+    TRUST,
     Placed,
     beyond_rest,
     disagreement,
@@ -35,12 +39,15 @@ from shape_obs.tracking.placement import (
     slid,
 )
 from shape_obs.tracking.rope_length import learn_length, shorten_length
-from shape_obs.tracking.state import RopeState, State  # noqa: F401 - the first in a signature
+from shape_obs.tracking.state import State
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Ends = tuple[int, int]
-Expected = tuple[float, float, float, float, float]
+#: Of a rope: its width in pixels, the resolution of the observation, the intervals since it was seen, 1 if it was lost
+#: for long, how far its nodes are expected to have moved, RMS, the seconds since it was seen, how far they can have
+#: moved since then, and its width as it was, pixels.
+Expected = tuple[float, float, float, float, float, float, float, float]
 
 _GRAIN: Final = (0.3, 0.9)  # in resolutions: that of a short one, and what a rope adds that is seen twice as short
 _POINTING: Final = 3.0  # times as long in space as in the image: there a tip hides what goes on behind it
@@ -52,63 +59,87 @@ _CERTAIN: Final = 8.0  # the most that such evidence can weigh
 _OWN: Final = 6.0  # a logarithm: a tip that is so much likelier the rope's own than cut shows where the rope ends
 _DOUBTFUL: Final = 1.5  # standard deviations by which a rope is too short, and its tips may be cut
 _CLEAR: Final = 3.0  # how much nearer ends lie to their own places than to each other's
+_UNSEEN: Final = 30.0  # squared standard deviations: a piece that lies where all was folded back is so unlikely
+_SURE: Final = 8.0  # squared standard deviations by which the other direction has to be less likely
+_UNCOVERING: Final = 2.0  # in a second, an end goes out of sight or comes to light, about
+_PLACES: Final = 7  # along the rope, at which a piece is compared with it to find its direction
 _BY_NOISE: Final = 1.0  # standard deviations of a length, which may seem hidden
 _SLIDES: Final = 0.1  # of a bridged gap: by so much what lies behind it may have slid into it
 _CREDIT: Final = 3.0  # frames, for which an end is taken for hidden after something was seen to hide it
 _STILL: Final = 0.5  # of what was hidden: an end is only taken for hidden if so much is missing
 _LONG_AGO: Final = 25.0  # squared intervals of a track, after which a rope may have slid anywhere
 _BENT: Final = 0.25  # of the squared distance by which a rope has slid: how far off the form of a piece is then
-ADRIFT: Final = 0.02  # of its length: by so much a rope may have slid along itself unseen
-LEAST: Final = 0.002  # of a length in pixels: less cannot be seen to be missing
+_LEAST: Final = 0.002  # of a length in pixels: less cannot be seen to be missing
 
 
-@compiled(
-    "(f8[:,::1], f8[::1], b1[::1], f8[::1], f8[::1], UniTuple(i8, 2), f8[:,::1], RopeState[::1], UniTuple(f8, 5), "
-    "f8[:,::1], f8[::1], b1)"
-)
-def match_to_rope(
-    points: Array, arc: Array, flags: Mask, metres: Array, relief: Array, ends: Ends, shapes: Array, known: State,
-    expected: Expected, nodes: Array, node_relief: Array, aligned: bool,
-) -> tuple[State, Array]:  # fmt: skip
-    """Find out which piece of a known rope a curve is.
+@compiled
+def register_chain(
+    points: Array, arc: Array, flags: Mask, metres: Array, log_depth: Array, ends: Ends, shapes: Array, known: State,
+    expected: Expected, nodes: Array, node_log_depth: Array, before: Array,
+) -> tuple[State, Array, Array, Mask, Array, Array]:  # fmt: skip
+    """Find out which piece of a known rope a curve is, and which way it runs along the rope.
 
     Args:
         points: ``(P, D)``.
         arc: ``(P,)`` their arc length.
         flags: ``(P,)`` what is bridged.
         metres: ``(P,)`` arc length in space; ``(0,)`` if it is not known, or the points are in space.
-        relief: ``(P,)`` see ``FittedCurve.relief``; ``(0,)`` without.
+        log_depth: ``(P,)`` see ``FittedCurve``; ``(0,)`` without.
         ends: What is known about both tips, see ``tip_evidence``.
         shapes: ``(2, 2)`` what they look like, see ``tip_shape``; ``(0, 2)`` if that is not known.
         known: ``(1,)`` what is known of the rope.
-        expected: The rope's width in pixels, the resolution of the observation, the intervals since the rope was seen,
-            1 if it was lost for long, and how far it is expected to have moved, RMS.
+        expected: See ``Expected``.
         nodes: ``(K, D)`` where it is predicted; ``(0, D)`` at a cold start.
-        node_relief: ``(K,)`` their relief; ``(0,)`` without.
-        aligned: Whether the curve is known to run in the direction of the rope.
+        node_log_depth: ``(K,)`` their log-depth; ``(0,)`` without.
+        before: ``(K, D)`` where the nodes were.
 
     Returns:
-        ``(1,)`` what is known of the rope after this frame, which only says ``aligned`` 0 where the direction is not
-        clear; ``(P,)`` stations of the curve in metres if all of the rope is seen and that is known.
+        ``(1,)`` what is known of the rope after this frame; the curve in the direction of the rope: points, arc length,
+        flags, metres (even where all of the rope is seen) and log-depth.
     """
-    last, metric, in_space, after = len(arc) - 1, len(metres) > 0, points.shape[1] == 3, known.copy()
-    was, now, along, size = known[0], after[0], metres if metric else arc, metres[-1] if metric else 0.0
-    width, resolution, lapse, stale, motion = expected
+    after, unclear = known.copy(), False
+    if len(nodes) > 0:
+        found, predicted = _compared(points, log_depth, nodes, node_log_depth)
+        stations = metres if len(metres) > 0 else arc
+        back, unclear = _runs_back(points, stations, len(metres) > 0, ends, found, predicted, known, expected, before)
+        if back:
+            points, flags, log_depth = points[::-1].copy(), flags[::-1].copy(), log_depth[::-1].copy()
+            ends, shapes, arc = (ends[1], ends[0]), shapes[::-1].copy(), arc[-1] - arc[::-1]
+            metres = metres[-1] - metres[::-1] if len(metres) > 0 else metres
+    stations = _match(
+        points, arc, flags, metres, log_depth, ends, shapes, known, after[0], expected, nodes, node_log_depth
+    )
+    after[0].unclear = unclear
+    return after, points, arc, flags, stations if after[0].plain and len(metres) > 0 else metres, log_depth
+
+
+@compiled
+def _match(
+    points: Array, arc: Array, flags: Mask, metres: Array, log_depth: Array, ends: Ends, shapes: Array, known: State,
+    now: Any, expected: Expected, nodes: Array, node_log_depth: Array,
+) -> Array:  # fmt: skip
+    """Find out which piece of a known rope a curve in its direction is.
+
+    Writes what is known of the rope after this frame into ``now``; see ``register_chain`` for the other arguments.
+
+    Returns:
+        ``(P,)`` stations of the curve, in metres if these are known; evened if all of the rope is seen.
+    """
+    last, metric, in_space = len(arc) - 1, len(metres) > 0, points.shape[1] == 3
+    was, along, size = known[0], metres if metric else arc, metres[-1] if metric else 0.0
+    width, resolution, lapse, stale, motion, _, _, _ = expected
     now.rival, now.plain = 0.0, False
     gap = _widest_gap(arc, flags)
     unbroken, length = not flags.any(), was.metres if metric else was.pixels
-    found, predicted = _compared(points, relief, nodes, node_relief)
-    now.aligned = len(nodes) == 0 or aligned or _is_along(found, predicted)
-    if now.aligned and (len(nodes) == 0 or length <= 0):
+    if len(nodes) == 0 or length <= 0:
         _begin(now, shapes, width)
         learn_length(now, arc[last], size, HIDDEN not in ends, unbroken)
-        return after, along
-    if not now.aligned:
-        return after, along
+        return along
+    found, predicted = _compared(points, log_depth, nodes, node_log_depth)
     rope, share = from_tip_to_tip(predicted)
     steep, steepest = np.ones(2), 1.0
-    if len(relief) > 0:
-        stretched = local_stretch(arc, with_relief(points, relief), width / 2)
+    if len(log_depth) > 0:
+        stretched = local_stretch(arc, with_relief(points, log_depth), width / 2)
         steep[0], steep[1] = stretched[0], stretched[last]
         for p in range(last + 1):
             steepest = max(steepest, stretched[p])
@@ -127,7 +158,7 @@ def match_to_rope(
     cut_head = min(max(_FADING * was.occlusion[0] + likelier[0], -_CERTAIN), _CERTAIN)
     cut_tail = min(max(_FADING * was.occlusion[1] + likelier[1], -_CERTAIN), _CERTAIN)
     step = resolution * along[last] / max(arc[last], 1e-9)  # in the unit of the stations
-    slack, missing, least = _SLACK[0] * length + _SLACK[1] * step, length - along[last], LEAST * length
+    slack, missing, least = _SLACK[0] * length + _SLACK[1] * step, length - along[last], _LEAST * length
     spread = was.metres_spread if metric or in_space else was.pixels_spread
     noise = spread * length + (_GRAIN[0] + _GRAIN[1] * (steepest - 1)) * step
     placed, residuals = Placed(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (was.shape_innovation, was.pose_innovation)
@@ -176,14 +207,14 @@ def match_to_rope(
     changed = abs(now.hidden[0] - was.hidden[0]) + abs(now.hidden[1] - was.hidden[1])
     now.innovation = max(changed, (2 if metric else 1) * abs(now.stretch - 1))
     now.measured = was.measured if hidden_length > least else along[last]
-    return after, evened(metres, arc, length) if metric and hidden_length <= 0 else along
+    return evened(metres, arc, length) if metric and hidden_length <= 0 else along
 
 
 @compiled
-def _compared(points: Array, relief: Array, nodes: Array, node_relief: Array) -> tuple[Array, Array]:
+def _compared(points: Array, log_depth: Array, nodes: Array, node_log_depth: Array) -> tuple[Array, Array]:
     """Return a curve and predicted nodes with their log-depth, if that of both is known."""
-    if len(relief) > 0 and len(node_relief) > 0:
-        return with_relief(points, relief), with_relief(nodes, node_relief)
+    if len(log_depth) > 0 and len(node_log_depth) > 0:
+        return with_relief(points, log_depth), with_relief(nodes, node_log_depth)
     return points, nodes
 
 
@@ -211,17 +242,115 @@ def _still_hidden(known: int, may_be: bool, credit: float) -> tuple[int, float]:
 
 
 @compiled
+def _runs_back(
+    points: Array, stations: Array, metric: bool, ends: Ends, found: Array, nodes: Array, known: State,
+    expected: Expected, before: Array,
+) -> tuple[bool, bool]:  # fmt: skip
+    """Return whether a curve runs against the direction of a rope of which it may be a piece, and whether that is clear.
+
+    What hides an end, such as the image's border, hides it still.
+
+    Args:
+        points: ``(P, D)``.
+        stations: ``(P,)`` how far along it they lie.
+        metric: Whether that is in metres.
+        ends: What is known about its tips.
+        found: ``(P, D')`` the curve as it is compared with the rope.
+        nodes: ``(K, D')`` where the rope is predicted.
+        known: ``(1,)`` what is known of the rope.
+        expected: See ``Expected``.
+        before: ``(K, D)`` where its nodes were.
+    """
+    if _is_along(found, nodes):
+        return False, False
+    _, resolution, lapse, _, _, seconds, reach, _ = expected
+    way, was = direction(points, before, reach), known[0]
+    if way != 0:
+        return way < 0, False
+    rope, share = from_tip_to_tip(nodes)
+    length, floor = was.metres if metric else was.pixels, (NOISE * resolution) ** 2
+    seen = min(stations[-1] / length, 1.0) if length > 0 else 1.0
+    usual = max(lapse**2 * was.shape_innovation, floor), max(lapse**2 * was.pose_innovation, floor)
+    folded = was.hidden[0] * was.folded[0], was.hidden[1] * was.folded[1]
+    probes = interpolate(found, stations, PROBES * stations[-1])
+    off = _unlikely(rope, share, probes, seen, folded, usual)
+    off_back = _unlikely(rope, share, probes[::-1].copy(), seen, folded, usual)
+    uncovered = -2 * math.log(math.tanh(max(_UNCOVERING * seconds, 1e-9)))  # a chain of two states
+    for end in range(2):
+        off += uncovered * ((was.occluded[end] != 0) != (ends[end] == HIDDEN))
+        off_back += uncovered * ((was.occluded[end] != 0) != (ends[1 - end] == HIDDEN))
+    return off_back < off, abs(off - off_back) < _SURE
+
+
+@compiled("(f8[:,::1], f8[:,::1], f8)")
+def direction(points: Array, before: Array, reach: float) -> int:
+    """Return whether the ends of a curve must have come from their own places (1), or each other's (-1); else 0.
+
+    Args:
+        points: ``(P, D)``.
+        before: ``(K, D)`` nodes where it was.
+        reach: How far they can have moved; infinity without a limit.
+    """
+    if not math.isfinite(reach):
+        return 0
+    own, other = _ways(points, before)
+    return int(own / 2 <= reach < other / 2) - int(other / 2 <= reach < own / 2)
+
+
+@compiled
 def _is_along(points: Array, nodes: Array) -> bool:
     """Return whether a curve clearly runs in the direction of ``(K, D)`` nodes, by the distances of its ends."""
-    size, forwards, backwards = points.shape[1], 0.0, 0.0
+    own, other = _ways(points, nodes)
+    return _CLEAR * own < other
+
+
+@compiled
+def _ways(points: Array, nodes: Array) -> tuple[float, float]:
+    """Return how far both ends of a curve are together from those of ``(K, D)`` nodes, and from each other's."""
+    own = other = 0.0
     for end in range(2):
-        same = other = 0.0
-        for d in range(size):
+        same = crossed = 0.0
+        for d in range(points.shape[1]):
             at = points[-1 if end else 0, d]
             same += (at - nodes[-1 if end else 0, d]) ** 2
-            other += (at - nodes[0 if end else -1, d]) ** 2
-        forwards, backwards = forwards + math.sqrt(same), backwards + math.sqrt(other)
-    return _CLEAR * forwards < backwards
+            crossed += (at - nodes[0 if end else -1, d]) ** 2
+        own, other = own + math.sqrt(same), other + math.sqrt(crossed)
+    return own, other
+
+
+@compiled
+def _unlikely(
+    points: Array, share: Array, found: Array, size: float, folded: tuple[float, float], usual: tuple[float, float]
+) -> float:
+    """Return how unlikely a curve is a piece of a rope, the likeliest of seven, in squared standard deviations.
+
+    Args:
+        points: ``(K, D)`` of the rope.
+        share: ``(K,)`` where they lie along it, 0...1.
+        found: ``(32, D)`` at equal steps along the curve.
+        size: Share of the rope that the curve is long.
+        folded: Shares at both ends of the rope that were folded back: with them nothing can be compared.
+        usual: Mean square distances of curves from their predictions: after a shift, and as they are.
+    """
+    probes, least = len(found), np.inf
+    for place in range(_PLACES):
+        at = place / (_PLACES - 1) * (1 - size) + size * PROBES
+        expected, known, square, shift = interpolate(points, share, at), 0, 0.0, np.zeros(points.shape[1])
+        for n in range(probes):
+            if folded[0] <= at[n] <= 1 - folded[1]:
+                known += 1
+                for d in range(len(shift)):
+                    shift[d] += expected[n, d] - found[n, d]
+                    square += (expected[n, d] - found[n, d]) ** 2
+        cost = _UNSEEN * (1 - known / probes)
+        if known > 0:
+            apart = np.sum(shift**2) / known**2
+            for off, known_off, count in (
+                (square / known - apart, usual[0], INDEPENDENT[0]), (apart, usual[1], INDEPENDENT[1])
+            ):  # fmt: skip
+                cost += TRUST * math.log1p(count * max(off, 0.0) / known_off / TRUST)
+        least = min(least, cost)
+    return least
 
 
 @compiled

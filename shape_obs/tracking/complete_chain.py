@@ -17,8 +17,8 @@ from shape_obs.geometry.curve import with_relief
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
 from shape_obs.tracking.placement import widened
-from shape_obs.tracking.rope_match import evened
-from shape_obs.tracking.state import RopeState, State  # noqa: F401 - the first in a signature
+from shape_obs.tracking.register_chain import evened
+from shape_obs.tracking.state import State
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -32,7 +32,7 @@ _ASKEW: Final = 0.6  # widths: of the visible piece next to a hidden end, which 
 _NONE: Final = 1e-9  # of a length: less is nothing
 
 
-@compiled("(f8[:,::1], f8[::1], b1[::1], f8[::1], f8[::1], RopeState[::1], RopeState[::1], f8, f8[:,::1], f8[::1])")
+@compiled
 def complete_chain(
     points: Array, arc: Array, flags: Mask, metres: Array, log_depth: Array, before: State, known: State, width: float,
     nodes: Array, node_log_depth: Array,

@@ -1,0 +1,174 @@
+"""Judge: how well a rope's curve fits what was seen, and why its points may be wrong all the same."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.compiled import compiled
+from shape_obs.geometry.curve import local_stretch, with_relief
+from shape_obs.tracking.state import State
+from shape_obs.tracking.validation import MAX_OFF
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+
+# Why a curve is refused. Up to ``_UNCLEAR`` it is no fit at all, and says nothing about where the rope is.
+_OFF, _NO_ROPE, _LONGER, _EITHER_END, _UNCLEAR, _UNSEEN, _BETWEEN, _SLID = range(1, 9)
+_END_ON, _SHORTER, _ASLANT, _POINTING, _STEEP, _UNMEASURED = range(9, 15)
+#: What that says, with the two figures of the state and what the rope is seen in, ``"mask"`` or ``"cloud"``.
+_SENTENCES: Final = {
+    _OFF: "{0:.0%} of the curve lies off the {noun} (at most {1:.0%})",
+    _NO_ROPE: "the {noun} spreads {0:.2f} widths about the curve (a ribbon 0.29, at most {1:.2f}): it is no single rope",
+    _LONGER: "the curve is {0:.0%} longer than the rope",
+    _EITHER_END: "it is in doubt which end of the rope is out of sight",
+    _UNCLEAR: "it is in doubt where the rope begins",
+    _UNSEEN: "{0:.0%} of the rope is in sight (at least {1:.0%})",
+    _BETWEEN: "both ends are hidden, and {0:.0%} of the rope is in sight (at least {1:.0%})",
+    _SLID: "a piece without an end in sight may have slid by {0:.1%} of the rope's length",
+    _END_ON: "it is seen end-on, {0:.2g} times as long as in the image (at most {1})",
+    _SHORTER: "the curve is {0:.1%} shorter than the rope, and nothing is seen to hide an end",
+    _ASLANT: "an end is hidden, and the rope is {0:.2g} times as long as it looks (at most {1})",
+    _POINTING: "both ends point at the camera, and {0:.1%} of the rope is missing at one of them",
+    _STEEP: "a piece is seen end-on, {0:.2g} times as long as it looks (at most {1})",
+    _UNMEASURED: "the depth shows too little of the rope to measure its length",
+}
+
+ADRIFT: Final = 0.02  # of its length: by so much a rope may have slid along itself unseen
+_MAX_SPREAD: Final = 0.40  # widths: RMS distance of what is seen from the curve
+_IDEAL_SPREAD: Final = 12**-0.5  # widths: that of an ideal ribbon
+_MIN_STRETCH: Final = 0.957  # a curve that became longer by more follows something else; a pulled band does not
+_EITHER: Final = 0.08  # of the length: if so much more may be hidden at the other end, nothing is known of either
+_MIN_SEEN: Final = 0.3  # of a rope's length: what has to be in sight to report it, and below, to follow it
+_MIN_IN_PIECES: Final = 0.45  # around a gap of a tenth of it: a piece behind a long gap may be anywhere
+_GAP: Final = 0.1
+_MIN_BETWEEN: Final = 0.6  # while both ends are hidden
+_MIN_FOLLOWED: Final = 0.15
+_MOST_END_ON: Final = 4.0  # times as long in space as in the image: its points cannot be told apart there
+# In space, if something hides one end: how much longer the other tip may be in space than in the image, or another
+# piece by this share of it, so that the length in sight shows how much lies beyond the hidden end; less if that tip
+# looks cut rather than the hidden end does.
+_MOST_ASLANT: Final = 2.7
+_ASLANT_CUT: Final = 2.0
+_ELSEWHERE: Final = 0.45
+# If nothing hides an end: how much of its length may be missing while both ends point at the camera; how steep a piece
+# may be while a tip does not look like the rope's own: where strands lie one behind the other, it may join them.
+_MOST_MISSING: Final = 0.016
+_STEEPEST: Final = 6.0
+# By how many measuring errors a rope may be too short, and standard deviations of its length, at least. All are chosen
+# from 40,000 frames of swung ropes and 7,900 under shadows, exact depth and a D455's.
+_MEASURED_SHORTER: Final = 1.4
+_SHORT: Final = 2.5
+
+
+def reason_of(rope: State, noun: str) -> str:
+    """Return in words why the points of a rope may be wrong; empty if they are not refused.
+
+    Args:
+        rope: ``(1,)``.
+        noun: What it is seen in: ``"mask"`` or ``"cloud"``.
+    """
+    code = int(rope["refusal"][0])
+    return _SENTENCES[code].format(*rope["figures"][0].tolist(), noun=noun) if code else ""
+
+
+def is_no_fit(rope: State) -> bool:
+    """Return whether a curve does not fit what was seen, or not the rope: it says nothing about where the rope is."""
+    return 0 < int(rope["refusal"][0]) <= _UNCLEAR
+
+
+def is_unclear(rope: State) -> bool:
+    """Return whether it is not clear which way a curve runs along its rope, or which end is out of sight."""
+    return bool(rope["unclear"][0]) or float(rope["rival"][0]) > _EITHER
+
+
+@compiled
+def judge_chain(
+    was: Any, now: Any, points: Array, arc: Array, flags: Mask, metres: Array, log_depth: Array, spread: float,
+    width: float, ribbon: float, area: float, off: float, begins: bool, needs_metres: bool,
+) -> None:  # fmt: skip
+    """Write the quality of a rope's curve into its state, and the first reason for which its points may be wrong.
+
+    Args:
+        was: What was known of the rope.
+        now: What is known now; written to.
+        points: ``(P, D)`` its whole curve.
+        arc: ``(P,)`` its arc length.
+        flags: ``(P,)`` what of it is interpolated.
+        metres: ``(P,)`` its arc length in space; ``(0,)`` if it is not known, or the points are in space.
+        log_depth: ``(P,)``; ``(0,)`` without.
+        spread: Mean square distance of what is seen from the curve, see ``sample_spread``.
+        width: Of what is seen, if ``area`` is 0.
+        ribbon: Width of the rope, pixels; 0 in a cloud.
+        area: Of the mask, pixels; 0 for a cloud.
+        off: The share of the curve that may be bridged or hidden.
+        begins: Whether it is numbered anew, so that its direction need not be clear.
+        needs_metres: Whether its points lie at equal steps in space, and its track began.
+    """
+    missing = _interpolated_share(arc, flags)
+    hidden, seen = min(missing, off), 1 - missing
+    now.width = max(area / max(arc[-1] * seen, 1e-9), 1.0) if area > 0 else 0.0
+    ratio = math.sqrt(spread) / max(max(area / max(arc[-1] * (1 - hidden), 1e-9), 1.0) if area > 0 else width, 1e-9)
+    excess = (ratio - _IDEAL_SPREAD) / (_MAX_SPREAD - _IDEAL_SPREAD)
+    now.follow, now.quality = False, 0.0
+    if missing - hidden > MAX_OFF:
+        return _refuse(now, _OFF, missing - hidden, MAX_OFF)
+    if ratio > _MAX_SPREAD:
+        return _refuse(now, _NO_ROPE, ratio, _MAX_SPREAD)
+    now.quality = math.sqrt((1 - (missing - hidden) / MAX_OFF) * min(max(1 - excess, 0.0), 1.0))
+    stretch = max(now.stretch, 1e-9)
+    if len(metres) > 0 and now.measured * _MIN_STRETCH > was.measured > 0 and stretch < _MIN_STRETCH:
+        return _refuse(now, _LONGER, 1 / stretch - 1, 0.0)
+    if not begins and now.rival > _EITHER:
+        return _refuse(now, _EITHER_END, 0.0, 0.0)
+    if not begins and now.unclear:
+        return _refuse(now, _UNCLEAR, 0.0, 0.0)
+    now.follow = seen >= _MIN_FOLLOWED
+    least = _MIN_IN_PIECES if missing - (now.hidden[0] + now.hidden[1]) > _GAP else _MIN_SEEN
+    if seen < least:
+        return _refuse(now, _UNSEEN, seen, least)
+    if seen < _MIN_BETWEEN and now.occluded[0] and now.occluded[1]:
+        return _refuse(now, _BETWEEN, seen, _MIN_BETWEEN)
+    if now.drift > ADRIFT:
+        return _refuse(now, _SLID, now.drift, 0.0)
+    if now.steep > _MOST_END_ON:
+        now.follow = False
+        return _refuse(now, _END_ON, now.steep, _MOST_END_ON)
+    if len(metres) == 0:
+        lost = needs_metres and was.metres > 0 and area > 0
+        return _refuse(now, _UNMEASURED if lost else 0, 0.0, 0.0)
+    if stretch > 1 + max(_MEASURED_SHORTER * now.tolerance, _SHORT * now.metres_spread):
+        return _refuse(now, _SHORTER, 1 - 1 / stretch, 0.0)
+    one_end, steep, steepest = now.occluded[0] != now.occluded[1], (1.0, 1.0), 1.0
+    cut = max(now.occlusion[0], now.occlusion[1]) > 0
+    if len(log_depth) > 0 and (one_end or cut):
+        stretched = local_stretch(arc, with_relief(points, log_depth), ribbon / 2)
+        steep, steepest = (stretched[0], stretched[-1]), stretched.max()
+    if one_end:
+        free = 0 if now.occluded[1] else 1
+        most = _ASLANT_CUT if now.occlusion[free] > now.occlusion[1 - free] else _MOST_ASLANT
+        aslant = max(steep[free], _ELSEWHERE * steepest)
+        return _refuse(now, _ASLANT if aslant > most else 0, aslant, most)
+    hides, short = now.occluded[0] != 0, now.hidden[0] + now.hidden[1]
+    if not hides and short > _MOST_MISSING and not now.folded[0] and not now.folded[1]:
+        return _refuse(now, _POINTING, short, 0.0)
+    return _refuse(now, _STEEP if not hides and cut and steepest > _STEEPEST else 0, steepest, _STEEPEST)
+
+
+@compiled
+def _refuse(now: Any, reason: int, figure: float, limit: float) -> None:
+    """Note why a rope is refused; 0 if it is not."""
+    now.refusal, now.figures[0], now.figures[1] = reason, figure, limit
+
+
+@compiled
+def _interpolated_share(arc: Array, flags: Mask) -> float:
+    """Return the share of a curve's length that is interpolated: half of each step next to such a point."""
+    total = 0.0
+    for p in range(len(arc) - 1):
+        total += (arc[p + 1] - arc[p]) * (int(flags[p]) + int(flags[p + 1])) / 2
+    return total / max(arc[-1], 1e-9)
