@@ -53,7 +53,7 @@ RopeState: Final = np.dtype(
 LENGTH: Final = ["pixels", "metres", "pixels_spread", "metres_spread", "frames", "short"]
 _SPREAD: Final = (0.003, 0.006)  # of a length in pixels and in metres, before any was measured
 #: What is known of its two ends.
-_ENDS: Final = ["hidden"]
+_ENDS: Final = ["hidden", "occluded", "folded", "occlusion", "hold"]
 
 
 def new_rope(metres: float = 0.0) -> State:
@@ -75,6 +75,6 @@ def reversed_rope(rope: State, points: int) -> State:
     back = rope.copy()
     for name in _ENDS:
         back[name] = rope[name][:, ::-1]
-    #back["tips"] = rope["tips"][:, :, ::-1]
+    back["tips"] = rope["tips"][:, :, ::-1]
     back["shown"] = points - rope["shown"][:, ::-1]
     return back

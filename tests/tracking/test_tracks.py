@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,6 +20,7 @@ from shape_obs.geometry.topology import Chain
 from shape_obs.image.roi import Window
 from shape_obs.tracking import search_window
 from shape_obs.tracking.predict import Fit, Prediction, Track, advance, predict
+from tests.golden.streams import load_stream, play
 from tests.scenes.beams import swinging_beam, tracked_beam
 
 NODES = np.stack([np.linspace(10, 90, 9), np.full(9, 50.0)], axis=1)
@@ -305,3 +307,17 @@ def test_ropes_are_found_in_their_window_at_the_first_look(looked, count, masks)
     for mask in masks:
         assert detector.detect_mask(mask).ok
     assert len(looked) == 4
+
+
+@pytest.mark.parametrize("name", ["rope_clutter", "rope_both_ends_cut", "rope_held"])
+def test_a_rope_is_found_in_the_same_places_whichever_end_is_the_first(name):
+    """What is remembered of an end stays with that end when the first frame's order is turned round."""
+    stream = load_stream(name)
+    first, found = play(stream)[0].points2d[0, 0], []
+    for end in (0, -1):
+        rope = replace(ShapeDetector(**stream.arguments).config.shapes[0], anchor=tuple(map(float, first[end])))
+        found.append(play(replace(stream, arguments={**stream.arguments, "shapes": [rope]}))[0])
+    one, other = found
+    assert np.array_equal(one.reason == "", other.reason == "")
+    seen = one.reason[:, 0] == ""
+    assert np.abs(one.points2d[seen] - other.points2d[seen][:, :, ::-1]).max() < 0.1  # pixels
