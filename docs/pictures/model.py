@@ -36,7 +36,7 @@ class Moment(NamedTuple):
 
     @property
     def cover(self) -> Array:
-        """Where the hand is: the nearest depth, which no other pixel has."""
+        """``(H, W)`` where the hand is: nearer than the table, and not the rope."""
         return ((self.seen.depth < self.seen.depth.max()) & (self.seen.mask == 0)).astype(np.uint8)
 
     @property
@@ -129,7 +129,8 @@ def picture() -> Array:
     film = grid(frames, 2)
     keys = VALID_KEY, HIDDEN_KEY, Key("circle of radius sigma", HIDDEN, "line"), Key("true place", TRUTH, "dot")
     drawn = plot(moments, shown, end)
-    drawn = cv2.resize(drawn, (film.shape[1], round(len(drawn) * film.shape[1] / drawn.shape[1])), cv2.INTER_AREA)
+    size = film.shape[1], round(len(drawn) * film.shape[1] / drawn.shape[1])
+    drawn = cv2.resize(drawn, size, interpolation=cv2.INTER_AREA)
     return np.concatenate([film, legend(keys, film.shape[1], LETTERS), drawn])
 
 
