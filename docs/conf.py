@@ -27,7 +27,7 @@ version = release = shape_obs.__version__
 
 extensions = ["myst_parser", "sphinx_copybutton", "sphinx_design", "sphinx.ext.autodoc", "sphinx.ext.autosummary"]
 extensions += ["sphinx.ext.napoleon", "sphinx.ext.viewcode", "sphinx.ext.intersphinx"]
-myst_enable_extensions = ["colon_fence", "deflist"]
+myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 4
 exclude_patterns = ["_build"]
 
