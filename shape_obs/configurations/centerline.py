@@ -163,7 +163,7 @@ class Centerline(Configuration, kind="centerline"):
         prediction: Prediction | None,
         scene: Scene,
     ) -> Fit:
-        """Follow the rope into this frame, from an initial axis or from where it is predicted, see ``tracking.step``."""
+        """Follow the rope into this frame, from an initial axis or from where it is predicted, see ``step``."""
         known, expected, nodes, log_depth, before = _expected(prediction, width, self.length or 0.0)
         in_metres = self.spacing == "m"
         if isinstance(observed, Region):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, cast
@@ -10,27 +11,22 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.clustering.som import batch_epochs, run_som
+from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Points, Scene
-from shape_obs.configurations.flat_in_mask import (
-    MIN_SAMPLES,
-    PIECES,
-    SIGMA,
-    fit_ring_in_mask,
-    points_around,
-    see_outline,
-)
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.observed import Observed, Samples
 from shape_obs.geometry.outline import SAMPLED, clockwise, enclosed_by, material_outline
-from shape_obs.geometry.polyline import arc_length, catmull_rom, interpolate
+from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, catmull_rom, closed, equal_chords, interpolate
 from shape_obs.geometry.topology import Ring, Topology, undo_shrinkage
 from shape_obs.image.outline_tracing import trace_hole
 from shape_obs.image.region import Region
-from shape_obs.tracking.hidden_border import look_around, rim_depth
-from shape_obs.tracking.hidden_outline import complete_outline, hidden_pieces, nearest_places, sticks_out
+from shape_obs.tracking.complete_lattice import look_around, rim_depth
+from shape_obs.tracking.complete_ring import complete_outline, hidden_pieces, nearest_places, sticks_out
+from shape_obs.tracking.measure_ring import MIN_SAMPLES, PIECES, SIGMA, fit_ring_in_mask
 from shape_obs.tracking.predict import MAX_SIZE_CHANGE, Fit, Prediction
-from shape_obs.tracking.registration import begin_outline, follow_outline, match_outline, renumber_outline
-from shape_obs.tracking.registration_in_space import blend_space, index_shift_space
+from shape_obs.tracking.register_ring import begin_outline, follow_outline, match_outline, renumber_outline
+from shape_obs.tracking.register_ring_in_space import blend_space, index_shift_space
+from shape_obs.tracking.step import step_ring_in_mask
 from shape_obs.tracking.validation import outline_miss, validate_outline
 
 if TYPE_CHECKING:
@@ -110,17 +106,17 @@ class Contour(Configuration, kind="contour"):
 
     def _follow(self, region: Region, prediction: Prediction, scene: Scene) -> Fit | None:
         """Fit the outline of a region that looks as it did; None if that is to be looked at more closely."""
-        nodes, known = prediction.nodes, prediction.hints.reference
-        own, around = scene.around(region)
-        curve, space, covered, miss, width, enclosed = see_outline(*own, *around, nodes[0], len(nodes))
-        if self.ring and 1 - region.areas[0] / max(enclosed, 1.0) < _HOLLOW:
+        known, (own, around) = prediction.hints.reference, scene.around(region)
+        if known is None:
             return None
-        if covered or width < _MIN_WIDTH * SAMPLED or known is None or (known.shape[1] == 3) != (len(space) > 0):
+        followed, curve, space, arc, nodes, known, turning, miss, width = step_ring_in_mask(
+            *own, *around, region.areas[0], prediction.nodes, known, _MIN_WIDTH * SAMPLED,
+            _HOLLOW if self.ring else -math.inf,
+        )  # fmt: skip
+        if not followed:
             return None
-        curve, space, arc, nodes, known, turning, doubtful = follow_outline(curve, space, known, nodes)
-        reason, quality = validate_outline(region, miss)
-        size = arc.item(len(arc) - 1)
-        if doubtful or reason or abs(size / prediction.size - 1) > MAX_SIZE_CHANGE:
+        (reason, quality), size = validate_outline(region, miss), arc.item(len(arc) - 1)
+        if reason or abs(size / prediction.size - 1) > MAX_SIZE_CHANGE:
             return None
         form = FittedCurve(
             curve, np.zeros(len(curve), bool), arc, True, space=space if len(space) else None,
@@ -238,7 +234,15 @@ class Contour(Configuration, kind="contour"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = see_outline, follow_outline, fit_ring_in_mask, enclosed_by, rim_depth, points_around, renumber_outline
+        masks = (
+            step_ring_in_mask,
+            follow_outline,
+            fit_ring_in_mask,
+            enclosed_by,
+            rim_depth,
+            points_around,
+            renumber_outline,
+        )
         masks += begin_outline, hidden_pieces, nearest_places, trace_hole, material_outline
         masks += index_shift_space, blend_space
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, undo_shrinkage
@@ -271,3 +275,11 @@ def _begun_at(
     hints = TrackHints(reference=places if reference is None else reference)
     known = there if there.shape[1] == 3 else None
     return FittedCurve(points, np.zeros(len(points), bool), arc, True, space=known, hints=hints), nodes
+
+
+@compiled("(f8[:,::1], f8[::1], f8[:,::1], i8)")
+def points_around(points: Array, arc: Array, metric: Array, count: int) -> Array:
+    """Return ``count`` points of a closed curve with equal chords in a metric, from its first point."""
+    around = closed(metric)
+    places, _ = equal_chords(closed(points), arc, around, arc_length(around), count + 1, 0.0, MAX_SHIFT_AROUND)
+    return places[:count]

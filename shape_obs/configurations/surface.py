@@ -12,16 +12,6 @@ import numpy.typing as npt
 
 from shape_obs.clustering.som import batch_epochs
 from shape_obs.configurations.base import Configuration, Ends, Points, Scene
-from shape_obs.configurations.flat_in_mask import (
-    NO_CORNERS,
-    OUT_OF_SIGHT,
-    SHEET_FUNCTIONS,
-    SHEET_WRONG,
-    judge_patch,
-    lay_patch,
-    lay_sheet,
-    view_sheet,
-)
 from shape_obs.configurations.sheet_map import moved_inside
 from shape_obs.geometry.coons import FINE, SIDE, beneath_fold, blend_sides, border_of, side_lengths
 from shape_obs.geometry.curve import TrackHints
@@ -38,9 +28,19 @@ from shape_obs.geometry.topology import Grid, undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells
 from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Indices, Rim
-from shape_obs.tracking.corner_matching import STRAYED, match_corners
 from shape_obs.tracking.isometry import ISOMETRY_FUNCTIONS, Isometry
+from shape_obs.tracking.measure_lattice import (
+    NO_CORNERS,
+    OUT_OF_SIGHT,
+    SHEET_FUNCTIONS,
+    SHEET_WRONG,
+    judge_patch,
+    lay_patch,
+    lay_sheet,
+    view_sheet,
+)
 from shape_obs.tracking.predict import MAX_SIZE_CHANGE, Fit, Prediction
+from shape_obs.tracking.register_lattice import STRAYED, match_corners
 from shape_obs.tracking.sheet_view import KnownSheet, SheetView, doubtful_places
 from shape_obs.tracking.validation import MAX_HIDDEN, FitQuality, validate_sheet
 

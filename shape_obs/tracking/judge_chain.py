@@ -23,7 +23,9 @@ _END_ON, _SHORTER, _ASLANT, _POINTING, _STEEP, _UNMEASURED = range(9, 15)
 #: What that says, with the two figures of the state and what the rope is seen in, ``"mask"`` or ``"cloud"``.
 _SENTENCES: Final = {
     _OFF: "{0:.0%} of the curve lies off the {noun} (at most {1:.0%})",
-    _NO_ROPE: "the {noun} spreads {0:.2f} widths about the curve (a ribbon 0.29, at most {1:.2f}): it is no single rope",
+    _NO_ROPE: (
+        "the {noun} spreads {0:.2f} widths about the curve (a ribbon 0.29, at most {1:.2f}): it is no single rope"
+    ),
     _LONGER: "the curve is {0:.0%} longer than the rope",
     _EITHER_END: "it is in doubt which end of the rope is out of sight",
     _UNCLEAR: "it is in doubt where the rope begins",

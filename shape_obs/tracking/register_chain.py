@@ -246,9 +246,9 @@ def _runs_back(
     points: Array, stations: Array, metric: bool, ends: Ends, found: Array, nodes: Array, known: State,
     expected: Expected, before: Array,
 ) -> tuple[bool, bool]:  # fmt: skip
-    """Return whether a curve runs against the direction of a rope of which it may be a piece, and whether that is clear.
+    """Return whether a curve runs against the direction of its rope, and whether that is not clear.
 
-    What hides an end, such as the image's border, hides it still.
+    It may be a piece of the rope, and what hides an end, such as the border, hides it still.
 
     Args:
         points: ``(P, D)``.
@@ -333,8 +333,8 @@ def _unlikely(
         usual: Mean square distances of curves from their predictions: after a shift, and as they are.
     """
     probes, least = len(found), np.inf
-    for place in range(_PLACES):
-        at = place / (_PLACES - 1) * (1 - size) + size * PROBES
+    for at_place in range(_PLACES):
+        at = at_place / (_PLACES - 1) * (1 - size) + size * PROBES
         expected, known, square, shift = interpolate(points, share, at), 0, 0.0, np.zeros(points.shape[1])
         for n in range(probes):
             if folded[0] <= at[n] <= 1 - folded[1]:

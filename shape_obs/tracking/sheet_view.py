@@ -17,9 +17,9 @@ from shape_obs.geometry.polyline import arc_length
 from shape_obs.geometry.rotation import laid_flat, similarity
 from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Rim
-from shape_obs.tracking.corner_matching import assign_corners, known_slack, zoom_of
-from shape_obs.tracking.hidden_border import Border, Lens, complete_border, look_around
+from shape_obs.tracking.complete_lattice import Border, Lens, complete_border, look_around
 from shape_obs.tracking.predict import Prediction
+from shape_obs.tracking.register_lattice import assign_corners, known_slack, zoom_of
 
 if TYPE_CHECKING:
     from shape_obs.camera import Intrinsics

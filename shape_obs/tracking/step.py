@@ -1,9 +1,12 @@
-"""Step: one frame of a rope in one compiled call, from what is seen to its state: measure, register, complete, judge.
+"""Step: one frame of a rope or an outline in one compiled call, from what is seen to its state.
 
-Every frame goes this way, the first one too, which starts from an initial axis and knows nothing of the rope.
+A rope is measured, registered, completed and judged. Every frame of it goes this way, the first one too, which starts
+from an initial axis and knows nothing of the rope. An outline is measured and registered so while nothing hides it.
 """
 
 from __future__ import annotations
+
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -14,9 +17,12 @@ from shape_obs.geometry.curve import with_relief
 from shape_obs.geometry.polyline import arc_length, even_points, interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
 from shape_obs.tracking.complete_chain import complete_chain
+from shape_obs.tracking.complete_lattice import Edges, Lens
 from shape_obs.tracking.judge_chain import judge_chain
 from shape_obs.tracking.measure_chain import fit_chain_in_mask
+from shape_obs.tracking.measure_ring import see_outline
 from shape_obs.tracking.register_chain import Ends, Expected, register_chain
+from shape_obs.tracking.register_ring import follow_outline
 from shape_obs.tracking.state import RopeState, State  # noqa: F401 - the first in a signature
 
 Array = npt.NDArray[np.float64]
@@ -27,7 +33,12 @@ Flags = npt.NDArray[np.bool_]
 #: pixels and log-depth, ``(P,)``, the last three ``(0,)`` where they are not known.
 Stepped = tuple[State, Array, Array, Array, Flags, Array, Array, Array, Array]
 
-_FEWEST = 6  # nodes of a visible piece
+#: Whether an outline was followed; its curve ``(P, 2)``; the same in metres ``(P, 3)``, ``(0, 3)`` without depth; its
+#: arc length ``(P + 1,)``; nodes ``(K, 2)``; what is known of it now ``(K, D)``; how far its turning can be believed,
+#: 0...1; how far it misses the mask's, in distances of its samples; the mask's width, pixels.
+RingStep = tuple[bool, Array, Array, Array, Array, Array, float, float, float]
+
+_FEWEST: Final = 6  # nodes of a visible piece
 
 
 @compiled(
@@ -100,7 +111,13 @@ def step_measured_chain(
         width: Of what is seen, in a cloud; 0 in a mask.
         area: Of the mask, pixels; 0 for a cloud.
         count: How many nodes a track begins with.
-        known: The others are those of ``step_chain_in_mask``.
+        known: As ``step_chain_in_mask`` takes it, and all that follow.
+        expected: See ``Expected``.
+        nodes: Predicted.
+        node_log_depth: Theirs.
+        before: Where they were.
+        off: The share that may be bridged or hidden.
+        in_metres: Whether points lie at equal steps in space.
 
     Returns:
         See ``Stepped``.
@@ -144,7 +161,7 @@ def visible_nodes(nodes: Array, log_depth: Array, known: State) -> tuple[Array, 
 
 
 @compiled
-def _show(now: State, stations: Array) -> None:
+def _show(now: Any, stations: Array) -> None:
     """Note the piece of a curve over which points are spread: without what may be hidden by noise alone.
 
     Of an end that something hides, two thirds of what may be noise elsewhere.
@@ -161,3 +178,42 @@ def _show(now: State, stations: Array) -> None:
         if hidden < least:
             at = 1 - hidden + 1e-9 if end else hidden - 1e-9
             now.shown[end] = np.searchsorted(stations, at * stations[-1])
+
+
+@compiled(
+    "(u1[:,::1], i8[:,::1], i8, i8, i8, " + DEPTH_TYPE + ", UniTuple(i8, 4), UniTuple(f8, 4), i8, f8[:,::1], "
+    "f8[:,::1], f8, f8)"
+)
+def step_ring_in_mask(
+    mask: Mask, runs: Indices, pieces: int, left: int, top: int, depth: DepthImages, edge: Edges, camera: Lens,
+    largest: int, nodes: Array, known: Array, thinnest: float, hollow: float,
+) -> RingStep:  # fmt: skip
+    """Follow an outline into a mask that looks as it did.
+
+    Args:
+        mask: As ``see_outline`` takes it, and all up to the camera.
+        runs: Of the mask.
+        pieces: How many components there are.
+        left: Image column.
+        top: Image row.
+        depth: The frame's.
+        edge: Of what is searched.
+        camera: A pinhole.
+        largest: Pixels of the largest component.
+        nodes: ``(K, 2)`` where the outline is predicted.
+        known: ``(K, D)`` its nodes in the past, wherever it lay, in pixels or metres.
+        thinnest: The least width, pixels.
+        hollow: The least share of what it encloses that is not the object.
+
+    Returns:
+        See ``RingStep``; not followed is what something lies over or may hide, is thinner or less hollow, or is seen in
+        space and was not, or the other way round: that is to be looked at more closely.
+    """
+    curve, space, covered, miss, width, enclosed = see_outline(
+        mask, runs, pieces, left, top, depth, edge, camera, nodes[0], len(nodes)
+    )
+    as_it_was = not covered and (known.shape[1] == 3) == (len(space) > 0)
+    if not as_it_was or width < thinnest or 1 - largest / max(enclosed, 1.0) < hollow:
+        return False, curve, space, curve[:, 0].copy(), nodes, known, 0.0, miss, width
+    curve, space, arc, nodes, known, turning, hidden = follow_outline(curve, space, known, nodes)
+    return not hidden, curve, space, arc, nodes, known, turning, miss, width

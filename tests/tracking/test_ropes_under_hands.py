@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
 
 from shape_obs import Centerline, Intrinsics, ShapeDetector
 from shape_obs.bench.scenes import draw_rope
-from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.polyline import arc_length, resample
-from shape_obs.geometry.topology import Chain
+from shape_obs.tracking.judge_chain import reason_of
 from shape_obs.tracking.occluders import FREE, HIDDEN, Tips
-from shape_obs.tracking.occlusion import match_chain
-from shape_obs.tracking.predicted_rope import PredictedRope
-from shape_obs.tracking.predict import Prediction
 from shape_obs.tracking.state import new_rope
+from shape_obs.tracking.step import step_measured_chain
 from tests.benchmarks.hidden import track
 from tests.scenes.hidden_ropes import hidden_rope, hidden_ropes
 
@@ -277,13 +272,14 @@ def test_it_is_in_doubt_which_end_is_missing_where_a_free_end_may_be_folded_back
     nodes = 300 * np.stack([at, 0.3 * np.clip(at - 0.2, 0, None)], axis=1) + (320, 240)
     rope = new_rope()
     rope["pixels"], rope["frames"] = 300.0, 10.0
-    known = Prediction(nodes, 300.0, Chain(16), TrackHints(rope), 1.0, 8.0, True)
-    points = PredictedRope(known).at(np.linspace(first, first + 0.7, 64))
-    form = FittedCurve.through(points, np.zeros(64, bool))
-    form = replace(form, hints=TrackHints(new_rope()))
-    found = match_chain(form, known, Tips((HIDDEN, FREE)))
-    assert found.hints.rope["hidden"][0] == pytest.approx((0.3, 0.0), abs=0.08)
-    assert ("in doubt which end" in found.ambiguity) == in_doubt
+    curve = np.column_stack([np.interp(np.linspace(first, first + 0.7, 64) - 0.5, at, row) for row in nodes.T])
+    nothing, expected = np.zeros(0), (8.0, 1.0, 1.0, 0.0, 0.0, np.inf, np.inf, 8.0)
+    state, *_ = step_measured_chain(
+        curve, arc_length(curve), np.zeros(64, bool), nothing, nothing, *Tips((HIDDEN, FREE)), 5.0, 0.0, 1680, 16, rope,
+        expected, nodes, nothing, nodes, 0.75, False,
+    )  # fmt: skip
+    assert state["hidden"][0] == pytest.approx((0.3, 0.0), abs=0.08)
+    assert ("in doubt which end" in reason_of(state, "mask")) == in_doubt
 
 
 def test_a_rope_that_moves_between_two_hands_is_refused_after_a_while():

@@ -12,7 +12,11 @@ from shape_obs.geometry.lattice import FittedLattice, assess_lattice
 from shape_obs.image.find_region import find_region
 from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
-from shape_obs.tracking.validation import FitQuality, sample_spread, validate_outline, validate_ribbon, validate_sheet
+from shape_obs.tracking.judge_chain import reason_of
+from shape_obs.tracking.occluders import Tips
+from shape_obs.tracking.state import new_rope
+from shape_obs.tracking.step import step_measured_chain
+from shape_obs.tracking.validation import FitQuality, sample_spread, validate_outline, validate_sheet
 
 SIZE = (120, 400)
 
@@ -39,7 +43,13 @@ def judged_ribbon(curve: FittedCurve, observed: Region, expected_off: float) -> 
     samples = observed.gather(min(max(observed.width / 3, 1), 24))
     hidden = min(samples.scale, observed.width) ** 2 / 12
     spread = sample_spread(samples.points, samples.weight, curve.points) + hidden
-    return validate_ribbon(curve, observed.noun, expected_off, spread, observed.width, observed.area)
+    nothing, width = np.zeros(0), observed.width
+    state, *_ = step_measured_chain(
+        curve.points, curve.arc, curve.interpolated, nothing, nothing, *Tips(), spread, 0.0, observed.area, 16,
+        new_rope(), (width, 1.0, 1.0, 0.0, 0.0, np.inf, np.inf, width), np.zeros((0, 2)), nothing, np.zeros((0, 2)),
+        expected_off, False,
+    )  # fmt: skip
+    return FitQuality(reason_of(state, observed.noun), float(state["quality"][0]))
 
 
 def judged_sheet(form: FittedLattice, kink: float) -> FitQuality:

@@ -1,4 +1,4 @@
-"""A ring on the outline of a mask, a lattice over a sheet: what a frame needs, in one or two compiled calls."""
+"""Measure a sheet: the rim of its mask, in space with depth, and the lattice over it, compared with what is known."""
 
 from __future__ import annotations
 
@@ -7,20 +7,19 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.clustering.som import run_ring_som
 from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, DepthImages
 from shape_obs.geometry.coons import FINE, RIM, border_of, coons_patch, side_lengths
 from shape_obs.geometry.lattice import assess_lattice, lattice_gauges, sample_lattice
-from shape_obs.geometry.outline import SAMPLED, enclosed_by, material_outline, pairs
-from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, catmull_rom, closed, equal_chords, interpolate
+from shape_obs.geometry.outline import SAMPLED, material_outline
+from shape_obs.geometry.polyline import arc_length, closed, interpolate
 from shape_obs.image.connected_runs import near_mask
 from shape_obs.image.outline_tracing import trace_largest
 from shape_obs.initialization.corners import nearest_corners, rim_of
-from shape_obs.tracking.corner_matching import FITS, assign_corners, compare_sheet, known_slack, match_corners
-from shape_obs.tracking.hidden_border import Edges, Lens, rim_depth
+from shape_obs.tracking.complete_lattice import Edges, Lens, rim_depth
+from shape_obs.tracking.measure_ring import MIN_SAMPLES, lifted
+from shape_obs.tracking.register_lattice import FITS, assign_corners, compare_sheet, known_slack, match_corners
 from shape_obs.tracking.sheet_view import SheetView, doubtful_places, learn_sheet
-from shape_obs.tracking.validation import ring_miss
 
 if TYPE_CHECKING:
     from shape_obs.configurations.base import Scene
@@ -31,10 +30,6 @@ Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]
 
-# Width of the map's neighbourhood, nodes. One epoch: the start lies on the outline, and further ones change nothing.
-SIGMA: Final = 0.4
-PIECES: Final = 4  # of the curve between two nodes
-MIN_SAMPLES: Final = 8  # a ring of 16 pixels, as few as an object may have
 NO_CORNERS, OUT_OF_SIGHT = 4, 5  # what may be wrong with a sheet besides what ``compare_sheet`` returns
 SHEET_WRONG: Final = (
     "",
@@ -48,66 +43,6 @@ UNBENT: Final = (90.0, 0.0, 0.0, 0.0)
 _MAX_PIXEL: Final = 1e12  # farther off, a projected point counts as out of sight
 
 
-@compiled("(f8[:,::1], b1, f8[::1], i8)")
-def fit_ring_in_mask(traced: Array, hole: bool, start: Array, count: int) -> tuple[Array, float]:
-    """Run the self-organising map of a ring on the outline of a mask and finish its curve, all in one call.
-
-    Args:
-        traced: ``(P, 2)`` pixels, through the centres of the border pixels.
-        hole: Whether the material lies outside.
-        start: ``(2,)`` the first node starts at the outline's point nearest to it.
-        count: How many nodes.
-
-    Returns:
-        ``(count * 4, 2)`` the closed curve, and how far the outline misses it, in distances of its samples.
-    """
-    points, smooth = material_outline(traced, hole)
-    samples = pairs(points)
-    nodes, unit = run_ring_som(samples, smooth, start, count, SIGMA)
-    curve = catmull_rom(nodes, PIECES, True)
-    return curve, ring_miss(samples, unit, curve, PIECES) / SAMPLED
-
-
-@compiled("(u1[:,::1], i8[:,::1], i8, i8, i8, " + DEPTH_TYPE + ", UniTuple(i8, 4), UniTuple(f8, 4), f8[::1], i8)")
-def see_outline(
-    mask: Mask, runs: Indices, pieces: int, left: int, top: int, depth: DepthImages,
-    edge: Edges, camera: Lens, start: Array, count: int,
-) -> tuple[Array, Array, bool, float, float, float]:  # fmt: skip
-    """Fit a ring to the outline of the largest piece of a mask, and put it in space, all in one call.
-
-    Args:
-        mask: As ``trace_components`` takes it, and the next four.
-        runs: Of the mask.
-        pieces: How many components there are.
-        left: Image column.
-        top: Image row.
-        depth: As ``rim_depth`` takes it, and the next.
-        edge: Of what is searched.
-        camera: Focal lengths and principal point of a pinhole, pixels.
-        start: As ``fit_ring_in_mask`` takes it.
-        count: How many nodes.
-
-    Returns:
-        ``(count * 4, 2)`` the closed curve; the same in metres, ``(0, 3)`` without depth; whether something lies over
-        it; how far the outline misses it, in distances of its samples; the width, 0 for a few pixels; the area that
-        the outline encloses, square pixels.
-    """
-    traced, width = trace_largest(mask, runs, pieces, left, top)
-    if len(traced) <= SAMPLED * (MIN_SAMPLES - 1):
-        return np.empty((0, 2)), np.empty((0, 3)), False, 0.0, 0.0, 0.0
-    curve, miss = fit_ring_in_mask(traced, False, start, count)
-    z, cut = rim_depth(depth, edge, mask, left, top, curve, width)
-    return curve, lifted(curve, z, camera), bool(cut.any()), miss, width, enclosed_by(traced)
-
-
-@compiled("(f8[:,::1], f8[::1], f8[:,::1], i8)")
-def points_around(points: Array, arc: Array, metric: Array, count: int) -> Array:
-    """Return ``count`` points of a closed curve with equal chords in a metric, from its first point."""
-    around = closed(metric)
-    places, _ = equal_chords(closed(points), arc, around, arc_length(around), count + 1, 0.0, MAX_SHIFT_AROUND)
-    return places[:count]
-
-
 @compiled("(u1[:,::1], i8[:,::1], i8, i8, i8, " + DEPTH_TYPE + ", UniTuple(i8, 4), UniTuple(f8, 4))")
 def see_sheet(
     mask: Mask, runs: Indices, pieces: int, left: int, top: int, depth: DepthImages,
@@ -116,7 +51,7 @@ def see_sheet(
     """Return the outline of the largest piece of a mask as the rim of a sheet, and put it in space.
 
     Args:
-        mask: As ``see_outline`` takes it, and all others.
+        mask: As ``step_ring_in_mask`` takes it, and all others.
         runs: Of the mask.
         pieces: Components.
         left: Image column.
@@ -264,18 +199,6 @@ def lay_sheet(
         return (code, 0, lattice, nothing, nothing, nothing > 0, 0.0, patch, sides, UNBENT), patch, kink, number, stray
     judged = judge_patch(patch, lattice, space, step, known, sides, mask, left, top, rows, cols, buckled)
     return judged, patch, kink, number, stray
-
-
-@compiled
-def lifted(points: Array, z: Array, camera: Lens) -> Array:
-    """Return pixels ``(P, 2)`` in the space of a pinhole, ``(P, 3)``; ``(0, 3)`` without a camera or depth."""
-    count = len(points) if camera[0] > 0 and not np.isnan(z[0]) else 0
-    out = np.empty((count, 3))
-    for p in range(count):
-        out[p, 0] = (points[p, 0] - camera[2]) / camera[0] * z[p]
-        out[p, 1] = (points[p, 1] - camera[3]) / camera[1] * z[p]
-        out[p, 2] = z[p]
-    return out
 
 
 @compiled

@@ -1,6 +1,6 @@
 """Contour registration in space: find the place on a closed outline where an earlier outline began, as it bends.
 
-As in the plane, the best rigid motion for every cyclic shift follows from the cross-covariances, see ``registration``.
+As in the plane, the best rigid motion for every cyclic shift follows from the cross-covariances, see ``register_ring``.
 """
 
 from __future__ import annotations

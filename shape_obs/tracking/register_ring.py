@@ -20,9 +20,9 @@ from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.outline import unround, wave_table, waves
 from shape_obs.geometry.polyline import arc_length, closed, even_around
-from shape_obs.tracking.hidden_outline import may_be_hidden
+from shape_obs.tracking.complete_ring import may_be_hidden
 from shape_obs.tracking.predict import Prediction
-from shape_obs.tracking.registration_in_space import blend_space, index_shift_space, place_weight
+from shape_obs.tracking.register_ring_in_space import blend_space, index_shift_space, place_weight
 
 Array = npt.NDArray[np.float64]
 
