@@ -27,7 +27,7 @@ from shape_obs.initialization.likeness import Picture
 from shape_obs.initialization.medial_axis import AXIS_FUNCTIONS, medial_axis
 from shape_obs.initialization.objects import SceneObject
 from shape_obs.initialization.ropes import find_ropes
-from shape_obs.point_cloud.lifting import nearest_expected
+from shape_obs.point_cloud.lifting import leave_out_overlaid
 from shape_obs.tracking.judge_chain import is_no_fit, is_unclear, reason_of
 from shape_obs.tracking.occluders import Tips
 from shape_obs.tracking.predict import MAX_SIZE_CHANGE, Fit, Prediction
@@ -217,7 +217,7 @@ class Centerline(Configuration, kind="centerline"):
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
         masks = step_chain_in_mask, points_along, direction
-        masks += sharp_bends, local_stretch, nearest_expected, crossing_table, upper_strands
+        masks += sharp_bends, local_stretch, leave_out_overlaid, crossing_table, upper_strands
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
         clouds += step_measured_chain, visible_nodes
         return masks + AXIS_FUNCTIONS + clouds

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, DepthImages
 from shape_obs.geometry.polyline import arc_length
-from shape_obs.point_cloud.lifting import COMPARED, SMEARED, STEP, nearest_expected
+from shape_obs.point_cloud.lifting import leave_out_overlaid
 from shape_obs.point_cloud.local_depth import MAX_REACH, median, room
 from shape_obs.point_cloud.strands import strand_depth
 
@@ -63,7 +63,8 @@ def lift_chain(
     size = len(points)
     reach = min(max(int(np.rint(width / 4)), 1), MAX_REACH)
     z, places = strand_depth(depth, mask, at, points, reach, expected, slack)
-    _leave_out_overlaid(z, points, bridged, width)
+    if bridged.any():
+        leave_out_overlaid(z, arc_length(points), bridged, 0.0, width)
     clean, near, along, step = np.empty(size), np.empty(2 * _COMPANY + 1), np.arange(float(size)), _step(points)
     known, least, most = 0, np.inf, 0.0
     for p in range(size):
@@ -108,37 +109,6 @@ def _astray(z: Array, bridged: npt.NDArray[np.bool_], p: int, near: Array) -> bo
             count += 1
     middle = (near[(count - 1) // 2] + near[count // 2]) / 2
     return abs(z[p] - middle) > _ASTRAY + abs(z[last] - z[first])
-
-
-@compiled
-def _leave_out_overlaid(z: Array, points: Array, bridged: npt.NDArray[np.bool_], width: float) -> None:
-    """Set depth to NaN that belongs to what hides a bridged piece next to it, see ``overlaid``.
-
-    Args:
-        z: ``(P,)`` metres, changed in place.
-        points: ``(P, 2)`` pixels.
-        bridged: ``(P,)``.
-        width: Of the object, pixels.
-    """
-    size = len(z)
-    if not bridged.any():
-        return
-    arc, apart, others, places = arc_length(points), np.empty(size), np.empty(size), np.empty(size)
-    for p in range(size):
-        apart[p] = np.inf
-        for q in range(size):
-            if bridged[q]:
-                apart[p] = min(apart[p], abs(arc[p] - arc[q]))
-    for p in range(size):
-        if bridged[p] or apart[p] > SMEARED * width or not z[p] > 0:
-            continue
-        count = 0
-        for q in range(size):
-            if apart[q] > SMEARED * width and abs(arc[p] - arc[q]) <= COMPARED * width and z[q] > 0:
-                others[count], places[count] = z[q], arc[q]
-                count += 1
-        if count > 0 and z[p] < nearest_expected(places[:count], others[:count], arc[p]) - STEP:
-            z[p] = np.nan
 
 
 @compiled

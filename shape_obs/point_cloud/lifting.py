@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import Any, Final
 
@@ -54,7 +55,8 @@ def form_depth(form: FittedForm, depth: npt.NDArray[Any], region: Region, width:
         return np.where(share > 0.5, z, np.nan).ravel()
     z, _ = median_depth(*where, points, reach, MIN_SHARE, not is_rope(form))
     if isinstance(form, FittedCurve) and not form.whole:
-        z[form.interpolated | overlaid(form, z, width)] = np.nan
+        z[form.interpolated] = np.nan
+        leave_out_overlaid(z, form.arc[: len(z)], form.interpolated, form.size if form.closed else 0.0, width)
     return z
 
 
@@ -91,35 +93,49 @@ def lift_form(form: FittedForm, z: Array, intrinsics: Intrinsics) -> Array | Non
     return points if np.isfinite(points).all() else None
 
 
-def overlaid(curve: FittedCurve, metres: Array, width: float) -> npt.NDArray[np.bool_]:
-    """Return where the depth next to a hidden piece is that of what hides it, and not the curve's own.
+@compiled("(f8[::1], f8[::1], b1[::1], f8, f8)")
+def leave_out_overlaid(z: Array, arc: Array, bridged: npt.NDArray[np.bool_], around: float, width: float) -> None:
+    """Set depth next to a hidden piece to NaN that is that of what hides the piece, and not the curve's own.
 
     The camera's two eyes see past an edge differently, and depth is smeared there: it is compared with that of the
-    curve a little further away.
+    curve a little further away, else with that of all of it.
 
     Args:
-        curve: ``(P, D)`` pixels, with hidden pieces.
-        metres: ``(P,)`` depth under it; NaN where it is not known.
+        z: ``(P,)`` metres under the curve, NaN or 0 where it is not known; changed in place.
+        arc: ``(P,)`` arc length in the image, pixels.
+        bridged: ``(P,)`` what is hidden, or bridged.
+        around: Length of a closed curve, pixels; 0 for an open one.
         width: Of the rope, pixels.
-
-    Returns:
-        ``(P,)`` bool.
     """
-    arc = curve.arc[: len(metres)]
-    away = arc[:, None] - arc
-    if curve.closed:
-        away = (away + curve.size / 2) % curve.size - curve.size / 2
-    apart = np.abs(away)
-    nearby = apart[:, curve.interpolated].min(axis=1) <= SMEARED * width
-    own = np.where(nearby | curve.interpolated, np.nan, metres)
-    over = np.zeros(len(metres), bool)
-    for at in np.flatnonzero(nearby & ~curve.interpolated & np.isfinite(metres)):
-        near = (apart[at] <= COMPARED * width) & np.isfinite(own)
-        if near.any():
-            over[at] = metres[at] < nearest_expected(-away[at, near], own[near], 0.0) - STEP
-        elif np.isfinite(own).any():
-            over[at] = metres[at] < np.nanmedian(own) - STEP
-    return over
+    size = len(z)
+    own, near, places = np.zeros(size, np.bool_), np.empty(size), np.empty(size)
+    for p in range(size):
+        own[p] = z[p] > 0 and not bridged[p]
+        for q in range(size):
+            if own[p] and bridged[q]:
+                own[p] = abs(_ahead(arc[p], arc[q], around)) > SMEARED * width
+    for p in range(size):
+        if bridged[p] or own[p] or not z[p] > 0:
+            continue
+        count, limit = 0, np.inf
+        for q in range(size):
+            away = _ahead(arc[p], arc[q], around)
+            if own[q] and abs(away) <= COMPARED * width:
+                near[count], places[count] = z[q], away
+                count += 1
+        if count > 0:
+            limit = nearest_expected(places[:count], near[:count], 0.0)
+        elif own.any():
+            limit = np.median(z[own])
+        if math.isfinite(limit) and z[p] < limit - STEP:
+            z[p] = np.nan
+
+
+@compiled
+def _ahead(start: float, stop: float, around: float) -> float:
+    """Return how far one place lies ahead of another along a curve; the shorter way around a closed one."""
+    away = stop - start
+    return away if around == 0 else away - around * math.floor(away / around + 0.5)
 
 
 @compiled("(f8[::1], f8[::1], f8)")
