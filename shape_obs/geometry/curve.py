@@ -225,10 +225,14 @@ def with_relief(points: Array, relief: Array) -> Array:
 @compiled("(f8[::1], f8[:,::1], f8)")
 def local_stretch(arc: Array, lifted: Array, reach: float) -> Array:
     """Return ``(P,)`` how much longer a curve is in space than in the image, within ``reach`` of each point."""
-    first, last = np.maximum(arc - reach, 0.0), np.minimum(arc + reach, arc[-1])
+    first, last, out = np.empty(len(arc)), np.empty(len(arc)), np.empty(len(arc))
+    for p in range(len(arc)):
+        first[p], last[p] = max(arc[p] - reach, 0.0), min(arc[p] + reach, arc[-1])
     inside = arc_length(lifted).reshape(-1, 1)
-    longer = interpolate(inside, arc, last) - interpolate(inside, arc, first)
-    return longer[:, 0] / np.maximum(last - first, 1e-9)
+    until, since = interpolate(inside, arc, last), interpolate(inside, arc, first)
+    for p in range(len(arc)):
+        out[p] = (until[p, 0] - since[p, 0]) / max(last[p] - first[p], 1e-9)
+    return out
 
 
 @compiled("(f8[::1], f8[::1])")

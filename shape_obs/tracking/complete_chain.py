@@ -75,16 +75,18 @@ def complete_chain(
             first, last = gap
             longer = (stations[last] - stations[first]) * scale - (arc[last] - arc[first])
             pixels = widened(arc, gap, float(longer))
-    if metric:
-        stations = head + evened(stations, arc, length - head - tail)
-    else:
-        stations = head + stations * ((length - head - tail) / max(stations[-1], 1e-9))
+    stations = evened(stations, arc, length - head - tail) if metric else stations.copy()
+    scaled = 1.0 if metric else (length - head - tail) / max(stations[-1], 1e-9)
+    for p in range(len(stations)):
+        stations[p] = head + scaled * stations[p]
     if head + tail > 0:
         curve, flags, stations, pixels = _with_ends(
             curve, arc, flags, stations, pixels, rope, share, was, now, length, width, size, metric, lifted
         )
         arc = arc_length(_first(curve, size))
-    deep = curve[:, size].copy() if lifted else arc[:0]
+    deep = np.empty(len(curve) if lifted else 0)
+    for p in range(len(deep)):
+        deep[p] = curve[p, size]
     return _first(curve, size), arc, flags, stations if metric else arc[:0], pixels if metric else stations, deep
 
 
@@ -298,4 +300,10 @@ def _seen_scale(points: Array, stations: Array, flags: Mask) -> float:
 @compiled
 def _first(points: Array, size: int) -> Array:
     """Return the first coordinates of points."""
-    return points if points.shape[1] == size else points[:, :size].copy()
+    if points.shape[1] == size:
+        return points
+    out = np.empty((len(points), size))
+    for p in range(len(points)):
+        for d in range(size):
+            out[p, d] = points[p, d]
+    return out

@@ -201,8 +201,14 @@ def extrapolated(
     nodes: Array, velocity: Array, relief: Array, climb: Array, ahead: float
 ) -> tuple[Array, Array, float]:
     """Return nodes ``(K, D)`` and relief ``(K,)`` or ``(0,)`` some seconds ahead, and how far the nodes move, RMS."""
-    step = ahead * velocity
-    return nodes + step, relief + ahead * climb, math.sqrt((step * step).sum() / len(nodes))
+    moved, deep, square = np.empty_like(nodes), np.empty_like(relief), 0.0
+    for k in range(len(nodes)):
+        for d in range(nodes.shape[1]):
+            moved[k, d] = nodes[k, d] + ahead * velocity[k, d]
+            square += (ahead * velocity[k, d]) ** 2
+    for k in range(len(relief)):
+        deep[k] = relief[k] + ahead * climb[k]
+    return moved, deep, math.sqrt(square / len(nodes))
 
 
 @compiled("(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, f8)")
@@ -213,7 +219,12 @@ def rates(
 
     Of their common motion along a closed curve the share ``turning`` is believed.
     """
-    velocity, climb = (nodes - before) / seconds, (relief - relief_before) / seconds
+    velocity, climb = np.empty_like(nodes), np.empty_like(relief)
+    for k in range(len(nodes)):
+        for d in range(nodes.shape[1]):
+            velocity[k, d] = (nodes[k, d] - before[k, d]) / seconds
+    for k in range(len(relief)):
+        climb[k] = (relief[k] - relief_before[k]) / seconds
     return (velocity if turning == 1 else with_turning(nodes, velocity, turning)), climb
 
 

@@ -103,9 +103,8 @@ def register_chain(
         stations = metres if len(metres) > 0 else arc
         back, unclear = _runs_back(points, stations, len(metres) > 0, ends, found, predicted, known, expected, before)
         if back:
-            points, flags, log_depth = points[::-1].copy(), flags[::-1].copy(), log_depth[::-1].copy()
-            ends, shapes, arc = (ends[1], ends[0]), shapes[::-1].copy(), arc[-1] - arc[::-1]
-            metres = metres[-1] - metres[::-1] if len(metres) > 0 else metres
+            points, flags, ends, shapes = _backwards(points), flags[::-1].copy(), (ends[1], ends[0]), _backwards(shapes)
+            arc, metres, log_depth = _from_the_end(arc), _from_the_end(metres), log_depth[::-1].copy()
     stations = _match(
         points, arc, flags, metres, log_depth, ends, shapes, known, after[0], expected, nodes, node_log_depth
     )
@@ -274,12 +273,31 @@ def _runs_back(
     folded = was.hidden[0] * was.folded[0], was.hidden[1] * was.folded[1]
     probes = interpolate(found, stations, PROBES * stations[-1])
     off = _unlikely(rope, share, probes, seen, folded, usual)
-    off_back = _unlikely(rope, share, probes[::-1].copy(), seen, folded, usual)
+    off_back = _unlikely(rope, share, _backwards(probes), seen, folded, usual)
     uncovered = -2 * math.log(math.tanh(max(_UNCOVERING * seconds, 1e-9)))  # a chain of two states
     for end in range(2):
         off += uncovered * ((was.occluded[end] != 0) != (ends[end] == HIDDEN))
         off_back += uncovered * ((was.occluded[end] != 0) != (ends[1 - end] == HIDDEN))
     return off_back < off, abs(off - off_back) < _SURE
+
+
+@compiled
+def _backwards(points: Array) -> Array:
+    """Return ``(P, D)`` points in the other order."""
+    out = np.empty_like(points)
+    for p in range(len(points)):
+        for d in range(points.shape[1]):
+            out[p, d] = points[len(points) - 1 - p, d]
+    return out
+
+
+@compiled
+def _from_the_end(along: Array) -> Array:
+    """Return how far points lie along a curve that is run through backwards; ``(0,)`` stays so."""
+    out, last = np.empty_like(along), len(along) - 1
+    for p in range(len(along)):
+        out[p] = along[last] - along[last - p]
+    return out
 
 
 @compiled("(f8[:,::1], f8[:,::1], f8)")
@@ -333,9 +351,12 @@ def _unlikely(
         usual: Mean square distances of curves from their predictions: after a shift, and as they are.
     """
     probes, least = len(found), np.inf
+    at = np.empty(probes)
     for at_place in range(_PLACES):
-        at = at_place / (_PLACES - 1) * (1 - size) + size * PROBES
-        expected, known, square, shift = interpolate(points, share, at), 0, 0.0, np.zeros(points.shape[1])
+        known, square, apart = 0, 0.0, 0.0
+        for n in range(probes):
+            at[n] = at_place / (_PLACES - 1) * (1 - size) + size * PROBES[n]
+        expected, shift = interpolate(points, share, at), np.zeros(points.shape[1])
         for n in range(probes):
             if folded[0] <= at[n] <= 1 - folded[1]:
                 known += 1
@@ -344,11 +365,11 @@ def _unlikely(
                     square += (expected[n, d] - found[n, d]) ** 2
         cost = _UNSEEN * (1 - known / probes)
         if known > 0:
-            apart = np.sum(shift**2) / known**2
-            for off, known_off, count in (
-                (square / known - apart, usual[0], INDEPENDENT[0]), (apart, usual[1], INDEPENDENT[1])
-            ):  # fmt: skip
-                cost += TRUST * math.log1p(count * max(off, 0.0) / known_off / TRUST)
+            for d in range(len(shift)):
+                apart += (shift[d] / known) ** 2
+            bent = max(square / known - apart, 0.0)
+            cost += TRUST * math.log1p(INDEPENDENT[0] * bent / usual[0] / TRUST)
+            cost += TRUST * math.log1p(INDEPENDENT[1] * apart / usual[1] / TRUST)
         least = min(least, cost)
     return least
 
@@ -372,10 +393,16 @@ def evened(stations: Array, arc: Array, length: float) -> Array:
 
     Where a rope runs towards the camera, a pixel holds much of it.
     """
-    step, pixels = np.diff(stations), np.maximum(np.diff(arc), 1e-9)
-    usual = np.median(step / pixels)
-    weight = step * (_EVENLY + np.maximum((step / pixels / usual) ** 2 - 1, 0.0))
-    share, out = (length - stations[-1]) / max(weight.sum(), 1e-12), np.zeros(len(stations))
-    for p in range(len(step)):
+    count, whole = len(stations) - 1, 0.0
+    step, weight, out = np.empty(count), np.empty(count), np.zeros(count + 1)
+    for p in range(count):
+        step[p] = stations[p + 1] - stations[p]
+        weight[p] = step[p] / max(arc[p + 1] - arc[p], 1e-9)
+    usual = np.median(weight)
+    for p in range(count):
+        weight[p] = step[p] * (_EVENLY + max((weight[p] / usual) ** 2 - 1, 0.0))
+        whole += weight[p]
+    share = (length - stations[-1]) / max(whole, 1e-12)
+    for p in range(count):
         out[p + 1] = out[p] + max(step[p] + share * weight[p], 0.1 * step[p])
     return out

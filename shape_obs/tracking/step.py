@@ -154,10 +154,16 @@ def visible_nodes(nodes: Array, log_depth: Array, known: State) -> tuple[Array, 
     rope, share = from_tip_to_tip(with_relief(nodes, log_depth) if len(log_depth) > 0 else nodes)
     head, tail, size = known[0].hidden[0], known[0].hidden[1], nodes.shape[1]
     count = max(int(np.rint(len(nodes) * (1 - head - tail))), _FEWEST)
-    found = interpolate(rope, share, head + (np.arange(count) + 0.5) / count * (1 - tail - head))
+    at = np.empty(count)
+    for k in range(count):
+        at[k] = head + (k + 0.5) / count * (1 - tail - head)
+    found = interpolate(rope, share, at)
     if len(log_depth) == 0:
         return found, log_depth
-    return found[:, :size].copy(), found[:, size].copy()
+    flat, deep = np.empty((count, size)), np.empty(count)
+    for k in range(count):
+        flat[k, 0], flat[k, 1], deep[k] = found[k, 0], found[k, 1], found[k, 2]
+    return flat, deep
 
 
 @compiled
