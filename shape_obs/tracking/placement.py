@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.polyline import arc_length, interpolate
-from shape_obs.geometry.rotation import covariance_of, largest_trace
+from shape_obs.geometry.rotation import largest_trace
 from shape_obs.tracking.occluders import FREE, HIDDEN
 
 Array = npt.NDArray[np.float64]
@@ -271,19 +271,33 @@ def disagreement(points: Array, share: Array, found: Array, head: float, tail: f
         head: Share of the rope that is hidden at its start.
         tail: The same at its end.
     """
-    probes, size = found.shape
-    expected = interpolate(points, share, head + PROBES * (1 - tail - head))
-    covariance, middle, centre = covariance_of(expected, found)
-    square = away = 0.0
-    for n in range(probes):
-        for d in range(size):
-            square += (expected[n, d] - middle[d]) ** 2 + (found[n, d] - centre[d]) ** 2
-            away += (expected[n, d] - found[n, d]) ** 2
-    if size == 2:
-        turned = math.hypot(covariance[0, 0] + covariance[1, 1], covariance[0, 1] - covariance[1, 0])
-    else:
-        turned = largest_trace(covariance)
-    return max(square - 2 * turned, 0.0) / probes, away / probes
+    (probes, size), last, p, long = found.shape, len(share) - 1, 0, 1 - tail - head
+    deep, k, away, covariance = size - 2, size - 1, 0.0, np.empty((3, 3))  # in the plane all lies at depth 0
+    x0 = y0 = z0 = u0 = v0 = w0 = xu = xv = xw = yu = yv = yw = zu = zv = zw = 0.0
+    for n in range(probes):  # in one pass, without arrays: this runs dozens of times in a frame
+        here = min(max(head + PROBES[n] * long, share[0]), share[last])
+        while p < last - 1 and share[p + 1] < here:
+            p += 1
+        gap = share[p + 1] - share[p]
+        part = (here - share[p]) / gap if gap > 0 else 0.0
+        # From the first point found: sums of squares of large numbers would lose digits.
+        x = points[p, 0] + part * (points[p + 1, 0] - points[p, 0]) - found[0, 0]
+        y = points[p, 1] + part * (points[p + 1, 1] - points[p, 1]) - found[0, 1]
+        z = deep * (points[p, k] + part * (points[p + 1, k] - points[p, k]) - found[0, k])
+        u, v, w = found[n, 0] - found[0, 0], found[n, 1] - found[0, 1], deep * (found[n, k] - found[0, k])
+        x0, y0, z0, u0, v0, w0 = x0 + x, y0 + y, z0 + z, u0 + u, v0 + v, w0 + w
+        xu, xv, xw = xu + x * u, xv + x * v, xw + x * w
+        yu, yv, yw = yu + y * u, yv + y * v, yw + y * w
+        zu, zv, zw = zu + z * u, zv + z * v, zw + z * w
+        away += (x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2
+    x0, y0, z0 = x0 / probes, y0 / probes, z0 / probes
+    moved = (x0 - u0 / probes) ** 2 + (y0 - v0 / probes) ** 2 + (z0 - w0 / probes) ** 2
+    covariance[0, 0], covariance[0, 1], covariance[0, 2] = xu - x0 * u0, xv - x0 * v0, xw - x0 * w0
+    covariance[1, 0], covariance[1, 1], covariance[1, 2] = yu - y0 * u0, yv - y0 * v0, yw - y0 * w0
+    covariance[2, 0], covariance[2, 1], covariance[2, 2] = zu - z0 * u0, zv - z0 * v0, zw - z0 * w0
+    stayed = covariance[0, 0] + covariance[1, 1] + covariance[2, 2]
+    turned = largest_trace(covariance) if deep else math.hypot(stayed, covariance[0, 1] - covariance[1, 0])
+    return max((away - 2 * (turned - stayed)) / probes - moved, 0.0), away / probes
 
 
 @compiled
