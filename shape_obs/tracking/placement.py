@@ -138,7 +138,8 @@ def place(
                 first, second = centre[0] + step * _WAYS[way, 0], centre[1] + step * _WAYS[way, 1]
                 if min(first, second) < 0 or first + second > missing * (1 + 1e-9):
                     continue
-                found = _probes(points, stations, gap, missing - first - second)
+                if bridge > 0:
+                    found = _probes(points, stations, gap, missing - first - second)
                 now = disagreement(rope, share, found, first / length, second / length)
                 cost, dearer = _cost(first, second, missing, length, loose, ends, cut, before)
                 cost += dearer + _surprise(now[0] - nearest[0], now[1] - nearest[1], usual)
@@ -158,10 +159,9 @@ def _probes(points: Array, stations: Array, gap: tuple[int, int], between: float
 @compiled
 def _surprise(bent: float, apart: float, usual: tuple[float, float]) -> float:
     """Return what it costs that a piece lies farther from its prediction than another one, in squared deviations."""
-    cost = 0.0
-    for off, known, count in ((bent, usual[0], INDEPENDENT[0]), (apart, usual[1], INDEPENDENT[1])):
-        cost += TRUST * math.log1p(max(count * off / known / TRUST, -_NEARER))
-    return cost
+    form = max(INDEPENDENT[0] / TRUST * bent / usual[0], -_NEARER)
+    place = max(INDEPENDENT[1] / TRUST * apart / usual[1], -_NEARER)
+    return TRUST * math.log((1 + form) * (1 + place))
 
 
 @compiled
@@ -257,7 +257,7 @@ def slid(
     return min(adrift + now, max(hidden) + (bridged if HIDDEN in ends else 0.0))
 
 
-@compiled
+@compiled(reassociate=True)
 def disagreement(points: Array, share: Array, found: Array, head: float, tail: float) -> tuple[float, float]:
     """Return the mean square distances between a curve and the piece of a rope that is not hidden.
 
