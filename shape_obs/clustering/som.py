@@ -83,45 +83,40 @@ def batch_epochs(
         ``(K, D)`` new nodes.
     """
     size, dimension = nodes.shape
-    middle = np.zeros(dimension)
-    for m in range(len(points)):
-        for d in range(dimension):
-            middle[d] += points[m, d]
+    deep, last = dimension - 2, dimension - 1  # in the plane all lies at depth 0
+    origin, out, moved, whole = nodes[0], np.empty_like(nodes), np.empty_like(points), 0.0
     for d in range(dimension):
-        middle[d] /= max(len(points), 1)
-    moved, out, whole = np.empty_like(points), np.empty_like(nodes), 0.0
+        for k in range(size):
+            out[k, d] = nodes[k, d] - origin[d]
+        for m in range(len(points)):
+            moved[m, d] = points[m, d] - origin[d]
     for m in range(len(points)):
         whole += weight[m]
-        for d in range(dimension):
-            moved[m, d] = points[m, d] - middle[d]
-    for k in range(size):
-        for d in range(dimension):
-            out[k, d] = nodes[k, d] - middle[d]
-    held, total, trace = np.empty(size), np.empty((size, dimension)), _TRACE * whole / size
+    bins, trace = np.empty((size, 4)), _TRACE * whole / size
     for epoch in range(len(sigmas)):
         unit = best_matching_units(moved, out)
         for k in range(size):
-            held[k] = trace
-            for d in range(dimension):
-                total[k, d] = trace * out[k, d]
+            bins[k, 0], bins[k, 1] = trace * out[k, 0], trace * out[k, 1]
+            bins[k, 2], bins[k, 3] = trace * deep * out[k, last], trace
         for m in range(len(points)):
-            k = unit[m]
-            held[k] += weight[m]
-            for d in range(dimension):
-                total[k, d] += weight[m] * moved[m, d]
+            k, w = unit[m], weight[m]
+            bins[k, 0] += w * moved[m, 0]
+            bins[k, 1] += w * moved[m, 1]
+            bins[k, 2] += w * deep * moved[m, last]
+            bins[k, 3] += w
         if shape[0] == 1:
-            _update_line(out, held, total, closed, sigmas[epoch])
+            _update_line(out, bins, closed, sigmas[epoch])
         else:
-            _update_lattice(out, held, total, shape, sigmas[epoch])
+            _update_lattice(out, bins, shape, sigmas[epoch])
     for k in range(size):
         for d in range(dimension):
-            out[k, d] += middle[d]
+            out[k, d] += origin[d]
     return out
 
 
 @compiled
-def _update_line(nodes: Array, held: Array, total: Array, closed: bool, sigma: float) -> None:
-    """Update the nodes ``(K, D)`` of a chain or a ring from the weight ``(K,)`` and the sums ``(K, D)`` of their bins.
+def _update_line(nodes: Array, bins: Array, closed: bool, sigma: float) -> None:
+    """Update the nodes ``(K, D)`` of a chain or a ring from the sums over their bins, x, y, z and weight: ``(K, 4)``.
 
     Each becomes the intercept of a line over the index that is fitted to its neighbours' means.
     """
@@ -132,28 +127,22 @@ def _update_line(nodes: Array, held: Array, total: Array, closed: bool, sigma: f
         near[o] = math.exp(-0.5 * (o / sigma) ** 2)
     for k in range(count):
         first, last = (-reach, reach) if closed else (-min(reach, k), min(reach, count - 1 - k))
-        s0 = s1 = s2 = 0.0
+        x = y = z = s0 = tilt_x = tilt_y = tilt_z = s1 = s2 = 0.0
         for o in range(first, last + 1):
             j = k + o
             j = j - count if j >= count else (j + count if j < 0 else j)
-            h = near[abs(o)] * held[j]
-            s0 += h
-            s1 += h * o
-            s2 += h * o * o
+            h = near[abs(o)]
+            g, u, v, w, n = h * o, bins[j, 0], bins[j, 1], bins[j, 2], bins[j, 3]
+            x, y, z, s0 = x + h * u, y + h * v, z + h * w, s0 + h * n
+            tilt_x, tilt_y, tilt_z, s1, s2 = tilt_x + g * u, tilt_y + g * v, tilt_z + g * w, s1 + g * n, s2 + g * o * n
         over = s0 * s2 - s1 * s1
-        for d in range(nodes.shape[1]):
-            pull = tilt = 0.0
-            for o in range(first, last + 1):
-                j = k + o
-                j = j - count if j >= count else (j + count if j < 0 else j)
-                h = near[abs(o)] * total[j, d]
-                pull += h
-                tilt += h * o
-            nodes[k, d] = (s2 * pull - s1 * tilt) / over
+        nodes[k, 0], nodes[k, 1] = (s2 * x - s1 * tilt_x) / over, (s2 * y - s1 * tilt_y) / over
+        if nodes.shape[1] == 3:
+            nodes[k, 2] = (s2 * z - s1 * tilt_z) / over
 
 
 @compiled
-def _update_lattice(nodes: Array, held: Array, total: Array, shape: tuple[int, int], sigma: float) -> None:
+def _update_lattice(nodes: Array, bins: Array, shape: tuple[int, int], sigma: float) -> None:
     """Update the nodes of a lattice as ``_update_line`` does those of a line, by planes over row and column."""
     (rows, cols), reach = shape, math.ceil(_FAR * sigma)
     moments, sums, phi = np.empty((3, 3)), np.empty((3, nodes.shape[1])), np.empty(3)
@@ -171,9 +160,9 @@ def _update_lattice(nodes: Array, held: Array, total: Array, shape: tuple[int, i
                 h = math.exp(-0.5 * (phi[1] ** 2 + phi[2] ** 2) / sigma**2)
                 for a in range(3):
                     for b in range(3):
-                        moments[a, b] += h * phi[a] * phi[b] * held[j]
+                        moments[a, b] += h * phi[a] * phi[b] * bins[j, 3]
                     for d in range(nodes.shape[1]):
-                        sums[a, d] += h * phi[a] * total[j, d]
+                        sums[a, d] += h * phi[a] * bins[j, d]
         _solve_first(moments, sums)
         for d in range(nodes.shape[1]):
             nodes[k, d] = sums[0, d]
@@ -258,12 +247,11 @@ def run_ring_som(samples: Array, smooth: Array, start: Array, count: int, sigma:
     middle_u, middle_v = middle_u / count, middle_v / count
     unit = np.empty(len(samples), np.int64)
     trace = _TRACE * size / count
-    held, total = np.empty(count), np.empty((count, 2))
+    bins = np.zeros((count, 4))
     for k in range(count):
-        held[k] = trace
         nodes[k, 0] -= middle_u
         nodes[k, 1] -= middle_v
-        total[k, 0], total[k, 1] = trace * nodes[k, 0], trace * nodes[k, 1]
+        bins[k, 0], bins[k, 1], bins[k, 3] = trace * nodes[k, 0], trace * nodes[k, 1], trace
     for m in range(len(samples)):
         first = SAMPLED * m
         last = min(first + SAMPLED, size) - 1
@@ -272,10 +260,10 @@ def run_ring_som(samples: Array, smooth: Array, start: Array, count: int, sigma:
         k = nearest_around(u, v, nodes, about, _RING_REACH)
         weight = last - first + 1
         unit[m] = k
-        held[k] += weight
-        total[k, 0] += weight * u
-        total[k, 1] += weight * v
-    _update_line(nodes, held, total, True, sigma)
+        bins[k, 0] += weight * u
+        bins[k, 1] += weight * v
+        bins[k, 3] += weight
+    _update_line(nodes, bins, True, sigma)
     near = math.exp(-0.5 / sigma**2)
     nodes = undo_shrinkage(nodes, 1 / 24 + near / (1 + 2 * near), True)
     for k in range(count):

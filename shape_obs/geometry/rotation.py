@@ -18,6 +18,8 @@ Array = npt.NDArray[np.float64]
 _SWEEPS: Final = 12
 _PARALLEL: Final = 1e-14  # cosine: columns that lie so close to a right angle are orthogonal
 _RANK: Final = 1e-12  # of the largest singular value: less is none
+_ROOT_STEPS: Final = 40  # a triple root is approached by a third each time
+_ROOT: Final = 3e-14  # of the cube of a root: the cubic is not known better
 _COMPLEX: Final = np.array([1, 1j])
 
 
@@ -119,16 +121,27 @@ def best_rotation(covariance: Array) -> Array:
 def largest_trace(covariance: Array) -> float:
     """Return the trace of R'A for the best proper rotation R of a ``(3, 3)`` matrix A, see ``best_rotation``.
 
-    It is the sum of the singular values, the least one negative if the best orthogonal matrix reflects.
+    It is the sum of the singular values, the least one negative if the determinant is. The square of the greatest is a
+    root of a cubic, and the sum of the others follows from it, the determinant and the squares of the minors.
     """
-    a = covariance
-    size = _orthogonalized(a.copy(), np.zeros((3, 3)))
-    determinant = (
-        a[0, 0] * (a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1])
-        - a[0, 1] * (a[1, 0] * a[2, 2] - a[1, 2] * a[2, 0])
-        + a[0, 2] * (a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0])
-    )
-    return size[0] + size[1] + size[2] - (2 * size.min() if determinant < 0 else 0.0)
+    a, square, minors, determinant = covariance, 0.0, 0.0, 0.0
+    for i in range(3):
+        for j in range(3):
+            p, q, r, s = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
+            minor = a[p, r] * a[q, s] - a[p, s] * a[q, r]
+            square, minors = square + a[i, j] * a[i, j], minors + minor * minor
+            determinant += a[i, j] * minor / 3
+    if square == 0:
+        return 0.0
+    most = square
+    for _ in range(_ROOT_STEPS):  # Newton's method, which comes down to the greatest root
+        over = ((most - square) * most + minors) * most - determinant**2
+        if not over > _ROOT * most**3:
+            break
+        most -= over / ((3 * most - 2 * square) * most + minors)
+    first = math.sqrt(most)
+    both = determinant / first  # the product of the other two
+    return first + math.sqrt(max((minors - both * both) / most + 2 * both, 0.0))
 
 
 @compiled

@@ -138,9 +138,7 @@ def _runs(mask: Mask, left: int, top: int) -> Indices:
     found = np.empty((2 * height + most, 3), np.int64)
     for row in range(height):
         if count + most > len(found):
-            more = np.empty((2 * len(found) + most, 3), np.int64)
-            more[:count] = found[:count]
-            found = more
+            found = np.concatenate((found, np.empty((len(found) + most, 3), np.int64)))
         inside, at, last = _U(0), row * across, (row + 1) * across
         while at < last:
             word = words[at]

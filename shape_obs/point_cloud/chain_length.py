@@ -172,13 +172,13 @@ def smooth_depth(values: Array, along: Array, rays: Array, variance: float) -> A
         variance: Of the noise of a value.
     """
     size = len(values)
-    z, step = np.full(size, float(np.nanmean(values))), np.empty(size - 1)
+    z, rate = np.full(size, float(np.nanmean(values))), np.empty(size - 1)  # points in a metre
     turned = np.empty(size - 1)  # squared, from one ray to the next
     for p in range(size - 1):
         turned[p] = (rays[p + 1, 0] - rays[p, 0]) ** 2 + (rays[p + 1, 1] - rays[p, 1]) ** 2
     for _ in range(_ROUNDS):
         for p in range(size - 1):
-            step[p] = max(math.sqrt(z[p] * z[p] * turned[p] + (z[p + 1] - z[p]) ** 2), 1e-6)
+            rate[p] = 1 / max(math.sqrt(z[p] * z[p] * turned[p] + (z[p + 1] - z[p]) ** 2), 1e-6)
         main, next_, after, right = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
         for p in range(size):
             if values[p] > 0:
@@ -190,8 +190,8 @@ def smooth_depth(values: Array, along: Array, rays: Array, variance: float) -> A
                 right[i] += (1 - t) * values[p]
                 right[i + 1] += t * values[p]
         for p in range(1, size - 1):
-            a, b = 1 / step[p - 1], 1 / step[p]
-            w = 2 * variance / (_CURVED * (step[p - 1] + step[p]))
+            a, b = rate[p - 1], rate[p]
+            w = 2 * variance / _CURVED * a * b / (a + b)
             main[p - 1] += w * a * a
             main[p] += w * (a + b) ** 2
             main[p + 1] += w * b * b
@@ -199,14 +199,14 @@ def smooth_depth(values: Array, along: Array, rays: Array, variance: float) -> A
             next_[p] -= w * b * (a + b)
             after[p - 1] += w * a * b
         for p in range(size):  # the equations are positive definite, of two diagonals to either side
-            main[p] = max(main[p], _LEAST)
+            main[p] = 1 / max(main[p], _LEAST)  # its inverse from here on
             if p + 1 < size:
-                share = next_[p] / main[p]
+                share = next_[p] * main[p]
                 main[p + 1] -= share * next_[p]
                 right[p + 1] -= share * right[p]
                 if p + 2 < size:
                     next_[p + 1] -= share * after[p]
-                    over = after[p] / main[p]
+                    over = after[p] * main[p]
                     main[p + 2] -= over * after[p]
                     right[p + 2] -= over * right[p]
         for p in range(size - 1, -1, -1):
@@ -215,5 +215,5 @@ def smooth_depth(values: Array, along: Array, rays: Array, variance: float) -> A
                 total -= next_[p] * z[p + 1]
             if p + 2 < size:
                 total -= after[p] * z[p + 2]
-            z[p] = total / main[p]
+            z[p] = total * main[p]
     return z

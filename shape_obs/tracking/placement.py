@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.polyline import arc_length, interpolate
-from shape_obs.geometry.rotation import covariance_of, largest_trace
+from shape_obs.geometry.rotation import largest_trace
 from shape_obs.tracking.occluders import FREE, HIDDEN
 
 Array = npt.NDArray[np.float64]
@@ -138,7 +138,8 @@ def place(
                 first, second = centre[0] + step * _WAYS[way, 0], centre[1] + step * _WAYS[way, 1]
                 if min(first, second) < 0 or first + second > missing * (1 + 1e-9):
                     continue
-                found = _probes(points, stations, gap, missing - first - second)
+                if bridge > 0:
+                    found = _probes(points, stations, gap, missing - first - second)
                 now = disagreement(rope, share, found, first / length, second / length)
                 cost, dearer = _cost(first, second, missing, length, loose, ends, cut, before)
                 cost += dearer + _surprise(now[0] - nearest[0], now[1] - nearest[1], usual)
@@ -158,10 +159,9 @@ def _probes(points: Array, stations: Array, gap: tuple[int, int], between: float
 @compiled
 def _surprise(bent: float, apart: float, usual: tuple[float, float]) -> float:
     """Return what it costs that a piece lies farther from its prediction than another one, in squared deviations."""
-    cost = 0.0
-    for off, known, count in ((bent, usual[0], INDEPENDENT[0]), (apart, usual[1], INDEPENDENT[1])):
-        cost += TRUST * math.log1p(max(count * off / known / TRUST, -_NEARER))
-    return cost
+    form = max(INDEPENDENT[0] / TRUST * bent / usual[0], -_NEARER)
+    place = max(INDEPENDENT[1] / TRUST * apart / usual[1], -_NEARER)
+    return TRUST * math.log((1 + form) * (1 + place))
 
 
 @compiled
@@ -257,7 +257,7 @@ def slid(
     return min(adrift + now, max(hidden) + (bridged if HIDDEN in ends else 0.0))
 
 
-@compiled
+@compiled(reassociate=True)
 def disagreement(points: Array, share: Array, found: Array, head: float, tail: float) -> tuple[float, float]:
     """Return the mean square distances between a curve and the piece of a rope that is not hidden.
 
@@ -271,19 +271,33 @@ def disagreement(points: Array, share: Array, found: Array, head: float, tail: f
         head: Share of the rope that is hidden at its start.
         tail: The same at its end.
     """
-    probes, size = found.shape
-    expected = interpolate(points, share, head + PROBES * (1 - tail - head))
-    covariance, middle, centre = covariance_of(expected, found)
-    square = away = 0.0
-    for n in range(probes):
-        for d in range(size):
-            square += (expected[n, d] - middle[d]) ** 2 + (found[n, d] - centre[d]) ** 2
-            away += (expected[n, d] - found[n, d]) ** 2
-    if size == 2:
-        turned = math.hypot(covariance[0, 0] + covariance[1, 1], covariance[0, 1] - covariance[1, 0])
-    else:
-        turned = largest_trace(covariance)
-    return max(square - 2 * turned, 0.0) / probes, away / probes
+    (probes, size), last, p, long = found.shape, len(share) - 1, 0, 1 - tail - head
+    deep, k, away, covariance = size - 2, size - 1, 0.0, np.empty((3, 3))  # in the plane all lies at depth 0
+    x0 = y0 = z0 = u0 = v0 = w0 = xu = xv = xw = yu = yv = yw = zu = zv = zw = 0.0
+    for n in range(probes):  # in one pass, without arrays: this runs dozens of times in a frame
+        here = min(max(head + PROBES[n] * long, share[0]), share[last])
+        while p < last - 1 and share[p + 1] < here:
+            p += 1
+        gap = share[p + 1] - share[p]
+        part = (here - share[p]) / gap if gap > 0 else 0.0
+        # From the first point found: sums of squares of large numbers would lose digits.
+        x = points[p, 0] + part * (points[p + 1, 0] - points[p, 0]) - found[0, 0]
+        y = points[p, 1] + part * (points[p + 1, 1] - points[p, 1]) - found[0, 1]
+        z = deep * (points[p, k] + part * (points[p + 1, k] - points[p, k]) - found[0, k])
+        u, v, w = found[n, 0] - found[0, 0], found[n, 1] - found[0, 1], deep * (found[n, k] - found[0, k])
+        x0, y0, z0, u0, v0, w0 = x0 + x, y0 + y, z0 + z, u0 + u, v0 + v, w0 + w
+        xu, xv, xw = xu + x * u, xv + x * v, xw + x * w
+        yu, yv, yw = yu + y * u, yv + y * v, yw + y * w
+        zu, zv, zw = zu + z * u, zv + z * v, zw + z * w
+        away += (x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2
+    x0, y0, z0 = x0 / probes, y0 / probes, z0 / probes
+    moved = (x0 - u0 / probes) ** 2 + (y0 - v0 / probes) ** 2 + (z0 - w0 / probes) ** 2
+    covariance[0, 0], covariance[0, 1], covariance[0, 2] = xu - x0 * u0, xv - x0 * v0, xw - x0 * w0
+    covariance[1, 0], covariance[1, 1], covariance[1, 2] = yu - y0 * u0, yv - y0 * v0, yw - y0 * w0
+    covariance[2, 0], covariance[2, 1], covariance[2, 2] = zu - z0 * u0, zv - z0 * v0, zw - z0 * w0
+    stayed = covariance[0, 0] + covariance[1, 1] + covariance[2, 2]
+    turned = largest_trace(covariance) if deep else math.hypot(stayed, covariance[0, 1] - covariance[1, 0])
+    return max((away - 2 * (turned - stayed)) / probes - moved, 0.0), away / probes
 
 
 @compiled
