@@ -106,6 +106,7 @@ class ShapeDetector:
         self._followed: list[Tracker | Slots] = [
             Tracker(spec, self.config) if spec.count is None else Slots(spec, self.config) for spec in self._filled
         ]
+        self._trackers = [tracker for followed in self._followed for tracker in followed.trackers]
         self._units.reset()
         self._clock.reset()
         self._hints = MaskHints(self._hints.looked)
@@ -225,8 +226,7 @@ class ShapeDetector:
         self._frames += 1
         search = None
         if roi is not None:
-            trackers = [tracker for followed in self._followed for tracker in followed.trackers]
-            tracks = {each.spec.name: each.track for each in trackers if each.track is not None}
+            tracks = {each.spec.name: each.track for each in self._trackers if each.track is not None}
             search = RegionSearch(frame, mask, roi, self.shapes, tracks, self._frames % _SEARCH_ALL == 0)
         self._clock.tick(frame.stamp)
         size = (frame.size or (0, 0)) if mask is None else (mask.shape[0], mask.shape[1])
@@ -242,7 +242,7 @@ class ShapeDetector:
 
     def _cross(self, shapes: list[Shape], moment: Moment) -> tuple[list[Shape], tuple[Crossing, ...]]:
         """Find where ropes cross, and which one is above; return the shapes with their crossings, and all of them."""
-        followed = [tracker for each in self._followed for tracker in each.trackers if tracker.strand is not None]
+        followed = [tracker for tracker in self._trackers if tracker.strand is not None]
         curves = [tracker.strand[0] for tracker in followed if tracker.strand is not None]
         if not curves or not len(crossing_table(*joined(curves))):
             return shapes, ()

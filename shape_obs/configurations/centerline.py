@@ -28,7 +28,7 @@ from shape_obs.initialization.medial_axis import AXIS_FUNCTIONS, medial_axis
 from shape_obs.initialization.objects import SceneObject
 from shape_obs.initialization.ropes import find_ropes
 from shape_obs.point_cloud.lifting import leave_out_overlaid
-from shape_obs.tracking.judge_chain import is_no_fit, is_unclear, reason_of
+from shape_obs.tracking.judge_chain import is_unclear, reason_of
 from shape_obs.tracking.occluders import Tips
 from shape_obs.tracking.predict import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.register_chain import Expected, direction
@@ -120,20 +120,16 @@ class Centerline(Configuration, kind="centerline"):
         if prediction is not None and (found.form is None or _says_nothing(found)):
             sigmas = _SIGMAS_STEADY if prediction.steady else _SIGMAS_AREA_CHANGED
             found = self._step(observed, _NO_NODES, sigmas, width, MAX_HIDDEN, prediction, scene)
-            off = np.inf if is_no_fit(found.form.hints.rope) else found.form.hints.rope["innovation"][0]
-            more = observed.area / max(prediction.size * width, 1e-9) if observed.dimension == 2 else 1.0
-            if more > _MORE and np.isinf(off) and not prediction.stale:  # noise, or another object: no time is lost
-                return Fit(reason=f"the mask has {more:.2g} times as many pixels as the rope (at most {_MORE:.2g})")
-            if off > MAX_SIZE_CHANGE:  # of another length, or the chain lost its way: an initial axis decides
+            if (off := _innovation(found)) > MAX_SIZE_CHANGE:
+                more = observed.area / max(prediction.size * width, 1e-9) if observed.dimension == 2 else 1.0
+                if more > _MORE and math.isinf(off) and not prediction.stale:  # noise, or another object: be quick
+                    return Fit(reason=f"the mask has {more:.2g} times as many pixels as the rope (at most {_MORE:.2g})")
+                # It is of another length, or the chain lost its way: an initial axis decides.
                 again = self._fit_initial(observed, prediction, scene)
-                if again.form is None or is_no_fit(again.form.hints.rope):
-                    better = False
-                else:
-                    better = again.form.hints.rope["innovation"][0] <= off or _is_whole(again.form)
-                found = again if better else found
-        if found.form is None or is_no_fit(found.form.hints.rope):
-            return found
-        if prediction is None or (prediction.stale and _seems_whole(found)):
+                fits = not math.isinf(_innovation(again))
+                found = again if fits and (_innovation(again) <= off or _is_whole(again.form)) else found
+        begins = prediction is None or (prediction.stale and _seems_whole(found))
+        if begins and not math.isinf(_innovation(found)):
             curve: FittedCurve = found.form
             numbered = self.apply_index_order(curve, observed.seen(curve.points, target), target)
             if numbered is not curve:
@@ -183,15 +179,16 @@ class Centerline(Configuration, kind="centerline"):
                 curve, arc_length(curve), ~cloud.carries(curve), _NOTHING, _NOTHING, *Tips(), spread, width, 0,
                 len(start), known, (0.0, *expected[1:]), nodes, log_depth, before, off, in_metres,
             )  # fmt: skip
-        state, nodes, deep, points, flags, arc, *measures = stepped
-        metres, pixels, log_depth = (each if len(each) else None for each in measures)
-        ribbon = width if observed.dimension == 2 else 0.0
-        curve = FittedCurve(points, flags, arc, False, metres, pixels, log_depth, ribbon, hints=TrackHints(state))
+        state, nodes, deep, points, flags, arc, metres, pixels, log_depth = stepped
+        curve = FittedCurve(
+            points, flags, arc, False, metres if len(metres) else None, pixels if len(pixels) else None,
+            log_depth if len(log_depth) else None, width if observed.dimension == 2 else 0.0, hints=TrackHints(state),
+        )  # fmt: skip
         topology = prediction.topology if prediction is not None else Chain(len(nodes))
         return Fit(
             curve, float(state["quality"][0]), reason_of(state, observed.noun), nodes, topology, float(arc[-1]),
             float(state["width"][0]), observed, width, bool(state["follow"][0]),
-            length=float(state["metres"][0]) or None, relief=None if log_depth is None else deep,
+            length=float(state["metres"][0]) or None, relief=deep if len(deep) else None,
         )  # fmt: skip
 
     def apply_index_order(self, form: FittedCurve, seen: Array, target: Array | None) -> FittedCurve:
@@ -273,8 +270,12 @@ def _expected(
 
 def _says_nothing(found: Fit) -> bool:
     """Return whether an initial curve does not fit, for another reason than that it is not clear which piece it is."""
-    rope = found.form.hints.rope
-    return is_no_fit(rope) and not is_unclear(rope)
+    return math.isinf(_innovation(found)) and not is_unclear(found.form.hints.rope)
+
+
+def _innovation(found: Fit) -> float:
+    """Return by which share of the rope's length other parts are hidden than before; infinity if nothing fits."""
+    return math.inf if found.form is None else float(found.form.hints.rope["innovation"][0])
 
 
 def _is_whole(form: FittedCurve) -> bool:
@@ -285,5 +286,5 @@ def _is_whole(form: FittedCurve) -> bool:
 
 def _seems_whole(found: Fit) -> bool:
     """Return whether no more of a rope is hidden than noise explains."""
-    rope = found.form.hints.rope
-    return max(rope["hidden"][0]) <= rope["tolerance"][0]
+    rope = None if found.form is None else found.form.hints.rope
+    return rope is not None and max(rope["hidden"][0]) <= rope["tolerance"][0]

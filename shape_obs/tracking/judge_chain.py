@@ -78,11 +78,6 @@ def reason_of(rope: State, noun: str) -> str:
     return _SENTENCES[code].format(*rope["figures"][0].tolist(), noun=noun) if code else ""
 
 
-def is_no_fit(rope: State) -> bool:
-    """Return whether a curve does not fit what was seen, or not the rope: it says nothing about where the rope is."""
-    return 0 < int(rope["refusal"][0]) <= _UNCLEAR
-
-
 def is_unclear(rope: State) -> bool:
     """Return whether it is not clear which way a curve runs along its rope, or which end is out of sight."""
     return bool(rope["unclear"][0]) or float(rope["rival"][0]) > _EITHER
@@ -165,6 +160,8 @@ def judge_chain(
 def _refuse(now: Any, reason: int, figure: float, limit: float) -> None:
     """Note why a rope is refused; 0 if it is not."""
     now.refusal, now.figures[0], now.figures[1] = reason, figure, limit
+    if 0 < reason <= _UNCLEAR:
+        now.innovation = np.inf
 
 
 @compiled

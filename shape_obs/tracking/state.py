@@ -37,7 +37,8 @@ RopeState: Final = np.dtype(
         ("gap", "i8", 2),  # the last point of the curve before its widest bridged piece and the first after; or equal
         ("between", "f8"),  # by how much that piece is longer than it is bridged
         ("rival", "f8"),  # share of its length that may be hidden elsewhere, see ``Placed``
-        ("innovation", "f8"),  # by which share of its length other parts are hidden than before, or by which it is off
+        # By which share of its length other parts are hidden than before, or it is off; infinity if nothing fits.
+        ("innovation", "f8"),
         ("unclear", "?"),  # whether its direction is not clear
         ("shown", "i8", 2),  # the points of its curve over which a shape's are spread: the first, the one past the last
         ("width", "f8"),  # of what is seen of it, pixels; 0 in a cloud

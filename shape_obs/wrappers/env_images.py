@@ -41,6 +41,7 @@ class Image:
         factor: Of floats, what makes 0...255 of them; 0 leaves the values as they are.
 
     Attributes:
+        where: The path in words.
         warned: Whether it was said that its values are on another scale.
     """
 
@@ -49,6 +50,9 @@ class Image:
     steps: Sequence[Step]
     factor: float = 0.0
     warned: bool = field(default=False, init=False, compare=False)
+
+    def __post_init__(self) -> None:
+        self.where = _where(self.path)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -74,15 +78,19 @@ class Image:
         except (KeyError, IndexError, TypeError) as error:
             got = f"keys: {sorted(given)}" if isinstance(given, Mapping) else f"it is a {type(given).__name__}"
             raise KeyError(f"the observation has no {key!r}, but its space does; {got}.") from error
-        image, (shape, dtype) = plain_array(given, _where(self.path), masked), (self.space.shape, self.space.dtype)
+        image, (shape, dtype) = plain_array(given, self.where, masked), (self.space.shape, self.space.dtype)
         assert dtype is not None
-        if isinstance(image, np.ndarray) and [n for n in image.shape if n > 1] == [n for n in shape if n > 1]:
+        if (
+            isinstance(image, np.ndarray)
+            and image.shape != shape
+            and [n for n in image.shape if n > 1] == [n for n in shape if n > 1]
+        ):
             image = image.reshape(shape)  # an axis of length 1 more or less changes nothing
         floats = dtype.kind == "f" and isinstance(image, np.ndarray) and image.dtype.kind == "f"
         if not isinstance(image, np.ndarray) or image.shape != shape or (image.dtype != dtype and not floats):
             came = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
             raise ValueError(
-                f"{_where(self.path)}: the env's observation_space promises {shape} {dtype}, but the image is {came}: "
+                f"{self.where}: the env's observation_space promises {shape} {dtype}, but the image is {came}: "
                 "correct the one or the other."
             )
         if self.factor:
@@ -94,13 +102,13 @@ class Image:
         full = _FULL / self.factor
         if not _OTHER_SCALE[0] * full <= low <= high <= _OTHER_SCALE[1] * full:
             raise ValueError(
-                f"{_where(self.path)}: the env's observation_space promises values from 0 to {full:g}, "
+                f"{self.where}: the env's observation_space promises values from 0 to {full:g}, "
                 f"but those of the image lie from {low:g} to {high:g}: correct the one or the other."
             )
         if full > 1 and not self.warned and _BRIGHT < high <= 1 and (image % 1).any():
             self.warned = True
             warnings.warn(
-                f"{_where(self.path)}: the env's observation_space goes up to {full:g}, but the values of the image "
+                f"{self.where}: the env's observation_space goes up to {full:g}, but the values of the image "
                 "are fractions up to 1, which is black: multiply them by 255, or give the space these bounds. This "
                 "warning is shown once.",
                 stacklevel=5,
