@@ -168,7 +168,9 @@ def fill_lattice(values: Array, known: npt.NDArray[np.bool_]) -> Array:
                 for down, right in ((-1, 0), (1, 0), (0, -1), (0, 1)):
                     i, j = r + down, c + right
                     if not done[r, c] and 0 <= i < rows and 0 <= j < cols and before[i, j]:
-                        out[r, c], done[r, c] = out[i, j], True
+                        done[r, c] = True
+                        for d in range(dimension):
+                            out[r, c, d] = out[i, j, d]
                         waiting -= 1
     for _ in range(_SWEEPS if not known.all() else 0):
         for r in range(rows):

@@ -106,15 +106,13 @@ def likelier_cut(shapes: Array, before: Array, width: float) -> tuple[float, flo
 
 
 @compiled
-def blended_tips(shapes: Array, before: Array, gain: float) -> Array:
-    """Return mean and variance of the tips' shapes after another one, which counts with the weight ``gain``."""
-    out = before.copy()
+def learn_tips(tips: Array, shapes: Array, gain: float) -> None:
+    """Move mean and variance of the tips' shapes, written to, towards another one, which counts with a weight."""
     for end in range(2):
         for k in range(2):
-            off = shapes[end, k] - before[0, end, k]
-            out[0, end, k] += gain * off
-            out[1, end, k] += gain * (off * off - before[1, end, k])
-    return out
+            off = shapes[end, k] - tips[0, end, k]
+            tips[0, end, k] += gain * off
+            tips[1, end, k] += gain * (off * off - tips[1, end, k])
 
 
 @compiled("(f8[:,::1], f8[::1], f8[::1], f8, " + DEPTH_TYPE + ", u1[:,::1], UniTuple(i8, 2), UniTuple(i8, 4))")

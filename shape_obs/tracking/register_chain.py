@@ -22,7 +22,7 @@ from shape_obs.tracking.occluders import (
     HIDDEN,
     TIP_LEARNING,
     UNKNOWN,
-    blended_tips,
+    learn_tips,
     likelier_cut,
     remember_tips,
 )
@@ -190,7 +190,7 @@ def _match(
     hidden_length = placed.head + placed.tail
     if hidden_length <= least and not (missing > _DOUBTFUL * noise and max(cut_head, cut_tail) > 0):
         if familiar:
-            now.tips[:] = blended_tips(shapes, was.tips, max(TIP_LEARNING, 1 / (was.frames + 1)))
+            learn_tips(now.tips, shapes, max(TIP_LEARNING, 1 / (was.frames + 1)))
         learn_length(now, arc[last], size, HIDDEN not in ends, unbroken)
     else:
         # A gap may be bridged too straight: then the rope is not shorter than it was.
