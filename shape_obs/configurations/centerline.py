@@ -117,7 +117,7 @@ class Centerline(Configuration, kind="centerline"):
         found = Fit()
         if prediction is None or prediction.stale:  # nodes that are long out of date pull the chain away
             found = self._fit_initial(observed, prediction, scene)
-        if prediction is not None and (found.form is None or _says_nothing(found)):
+        if prediction is not None and (found.form is None or _does_not_fit(found)):
             sigmas = _SIGMAS_STEADY if prediction.steady else _SIGMAS_AREA_CHANGED
             found = self._step(observed, _NO_NODES, sigmas, width, MAX_HIDDEN, prediction, scene)
             if (off := _innovation(found)) > MAX_SIZE_CHANGE:
@@ -268,7 +268,7 @@ def _expected(
     return prediction.hints.rope, expected, prediction.nodes, relief, prediction.last
 
 
-def _says_nothing(found: Fit) -> bool:
+def _does_not_fit(found: Fit) -> bool:
     """Return whether an initial curve does not fit, for another reason than that it is not clear which piece it is."""
     return math.isinf(_innovation(found)) and not is_unclear(found.form.hints.rope)
 

@@ -17,10 +17,10 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 
-# Why a curve is refused. Up to ``_UNCLEAR`` it is no fit at all, and says nothing about where the rope is.
+# Why a curve is refused. Up to ``_UNCLEAR`` it does not fit, and does not show where the rope is.
 _OFF, _NO_ROPE, _LONGER, _EITHER_END, _UNCLEAR, _UNSEEN, _BETWEEN, _SLID = range(1, 9)
 _END_ON, _SHORTER, _ASLANT, _POINTING, _STEEP, _UNMEASURED = range(9, 15)
-#: What that says, with the two figures of the state and what the rope is seen in, ``"mask"`` or ``"cloud"``.
+#: The sentence for it, with the two figures of the state and what the rope is seen in, ``"mask"`` or ``"cloud"``.
 _SENTENCES: Final = {
     _OFF: "{0:.0%} of the curve lies off the {noun} (at most {1:.0%})",
     _NO_ROPE: (
@@ -80,7 +80,7 @@ def reason_of(rope: State, noun: str) -> str:
 
 def is_unclear(rope: State) -> bool:
     """Return whether it is not clear which way a curve runs along its rope, or which end is out of sight."""
-    return bool(rope["unclear"][0]) or float(rope["rival"][0]) > _EITHER
+    return bool(rope["unclear"][0]) or float(rope["elsewhere"][0]) > _EITHER
 
 
 @compiled
@@ -103,7 +103,7 @@ def judge_chain(
         ribbon: Width of the rope, pixels; 0 in a cloud.
         area: Of the mask, pixels; 0 for a cloud.
         off: The share of the curve that may be bridged or hidden.
-        begins: Whether it is numbered anew, so that its direction need not be clear.
+        begins: Whether it is numbered from the start again, so that its direction need not be clear.
         needs_metres: Whether its points lie at equal steps in space, and its track began.
     """
     missing = _interpolated_share(arc, flags)
@@ -120,7 +120,7 @@ def judge_chain(
     stretch = max(now.stretch, 1e-9)
     if len(metres) > 0 and now.measured * _MIN_STRETCH > was.measured > 0 and stretch < _MIN_STRETCH:
         return _refuse(now, _LONGER, 1 / stretch - 1, 0.0)
-    if not begins and now.rival > _EITHER:
+    if not begins and now.elsewhere > _EITHER:
         return _refuse(now, _EITHER_END, 0.0, 0.0)
     if not begins and now.unclear:
         return _refuse(now, _UNCLEAR, 0.0, 0.0)

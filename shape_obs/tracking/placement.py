@@ -52,7 +52,7 @@ class Placed(NamedTuple):
         between: By how much a gap in it is longer than it is bridged.
         bent: Mean square distance from the prediction after the best rigid motion.
         apart: The same as it is.
-        rival: By which share of the length more would be hidden elsewhere if the prediction and what the tips look
+        elsewhere: By which share of the length more would be hidden elsewhere if the prediction and what the tips look
             like alone decided whether a free end is folded back.
     """
 
@@ -61,7 +61,7 @@ class Placed(NamedTuple):
     between: float
     bent: float
     apart: float
-    rival: float
+    elsewhere: float
 
 
 @compiled(
@@ -145,8 +145,8 @@ def place(
                 cost += dearer + _surprise(now[0] - nearest[0], now[1] - nearest[1], usual)
                 if cost < best:
                     best, head, tail, off = cost, first, second, now
-    rival = max(abs(a - other_a), abs(b - other_b)) * piece / length
-    return Placed(head, tail, missing - head - tail, off[0], off[1], rival)
+    elsewhere = max(abs(a - other_a), abs(b - other_b)) * piece / length
+    return Placed(head, tail, missing - head - tail, off[0], off[1], elsewhere)
 
 
 @compiled

@@ -127,7 +127,7 @@ def _match(
     last, metric, in_space = len(arc) - 1, len(metres) > 0, points.shape[1] == 3
     was, along, size = known[0], metres if metric else arc, metres[-1] if metric else 0.0
     width, resolution, lapse, stale, motion, _, _, _ = expected
-    now.rival, now.plain = 0.0, False
+    now.elsewhere, now.plain = 0.0, False
     gap = _widest_gap(arc, flags)
     unbroken, length = not flags.any(), was.metres if metric else was.pixels
     if len(nodes) == 0 or length <= 0:
@@ -181,7 +181,7 @@ def _match(
             FREE if second == UNKNOWN and hidden[1] <= 0 and cut_tail <= -_OWN else second,
         )
         now.drift = slid(was.drift, rope, shown, hidden, _SLIDES * bridge / length, strayed, long_ago)
-        now.rival = 0.0 if bridge > 0 or was.drift > 0 or lapse**2 > _LONG_AGO else placed.rival
+        now.elsewhere = 0.0 if bridge > 0 or was.drift > 0 or lapse**2 > _LONG_AGO else placed.elsewhere
         bent, apart = placed.bent, placed.apart
     else:
         probes = interpolate(found, along, PROBES * along[last])
@@ -220,7 +220,7 @@ def _compared(points: Array, log_depth: Array, nodes: Array, node_log_depth: Arr
 @compiled
 def _begin(rope: Any, shapes: Array, width: float) -> None:
     """Forget all but the length of a rope, and remember the tips as they look now."""
-    rope.drift = rope.tolerance = rope.measured = rope.rival = rope.between = rope.innovation = 0.0
+    rope.drift = rope.tolerance = rope.measured = rope.elsewhere = rope.between = rope.innovation = 0.0
     rope.stretch = rope.shape_innovation = rope.pose_innovation = 1.0
     rope.tips_known, rope.hides, rope.plain = len(shapes) > 0, False, True
     for end in range(2):

@@ -36,7 +36,7 @@ RopeState: Final = np.dtype(
         ("plain", "?"),  # whether no end is out of sight and no piece is bridged
         ("gap", "i8", 2),  # the last point of the curve before its widest bridged piece and the first after; or equal
         ("between", "f8"),  # by how much that piece is longer than it is bridged
-        ("rival", "f8"),  # share of its length that may be hidden elsewhere, see ``Placed``
+        ("elsewhere", "f8"),  # share of its length that may be hidden elsewhere, see ``Placed``
         # By which share of its length other parts are hidden than before, or it is off; infinity if nothing fits.
         ("innovation", "f8"),
         ("unclear", "?"),  # whether its direction is not clear
@@ -45,7 +45,7 @@ RopeState: Final = np.dtype(
         ("steep", "f8"),  # how much longer it is in space than in the image
         ("quality", "f8"),  # of the fit, 0...1
         ("refusal", "i8"),  # why its points may be wrong, see ``judge_chain``; 0 if they are not
-        ("figures", "f8", 2),  # what was found and what is allowed, for the sentence that says so
+        ("figures", "f8", 2),  # what was found and what is allowed, for its sentence
         ("follow", "?"),  # whether the track goes on with a curve that was refused
     ],
     align=True,

@@ -1,7 +1,7 @@
 """Step: one frame of a rope or an outline in one compiled call, from what is seen to its state.
 
 A rope is measured, registered, completed and judged. Every frame of it goes this way, the first one too, which starts
-from an initial axis and knows nothing of the rope. An outline is measured and registered so while nothing hides it.
+from an initial axis, with nothing known of the rope. An outline is measured and registered so while nothing hides it.
 """
 
 from __future__ import annotations
@@ -207,7 +207,7 @@ def step_ring_in_mask(
         camera: A pinhole.
         largest: Pixels of the largest component.
         nodes: ``(K, 2)`` where the outline is predicted.
-        known: ``(K, D)`` its nodes in the past, wherever it lay, in pixels or metres.
+        known: ``(K, D)`` its nodes in the past, wherever it was, in pixels or metres.
         thinnest: The least width, pixels.
         hollow: The least share of what it encloses that is not the object.
 
