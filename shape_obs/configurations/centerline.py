@@ -29,7 +29,7 @@ from shape_obs.initialization.objects import SceneObject
 from shape_obs.initialization.ropes import find_ropes
 from shape_obs.point_cloud.lifting import leave_out_overlaid
 from shape_obs.tracking.judge_chain import is_unclear, reason_of
-from shape_obs.tracking.occluders import Tips
+from shape_obs.tracking.occluders import UNKNOWN_TIPS
 from shape_obs.tracking.predict import MAX_SIZE_CHANGE, Fit, Prediction
 from shape_obs.tracking.register_chain import Expected, direction
 from shape_obs.tracking.state import State, new_rope, reversed_rope
@@ -176,7 +176,7 @@ class Centerline(Configuration, kind="centerline"):
             spread = sample_spread(np.ascontiguousarray(samples.points), np.ascontiguousarray(samples.weight), curve)
             spread, width = spread + cloud.hidden_variance, cloud.ribbon_width
             stepped = step_measured_chain(
-                curve, arc_length(curve), ~cloud.carries(curve), _NOTHING, _NOTHING, *Tips(), spread, width, 0,
+                curve, arc_length(curve), ~cloud.carries(curve), _NOTHING, _NOTHING, *UNKNOWN_TIPS, spread, width, 0,
                 len(start), known, (0.0, *expected[1:]), nodes, log_depth, before, off, in_metres,
             )  # fmt: skip
         state, nodes, deep, points, flags, arc, metres, pixels, log_depth = stepped

@@ -202,12 +202,6 @@ class FittedCurve(FittedForm):
         form = {"points": points, "interpolated": interpolated, "arc": arc_length(_polyline(points, self.closed))}
         return replace(self, **form, metres=None, pixels=None, relief=None, space=None)
 
-    def relaid(self, lifted: Array, interpolated: Mask) -> Self:
-        """Return a curve of the same kind through other points, ``(P', 3)`` with their relief or ``(P', D)``."""
-        size = self.points.shape[1]
-        other = self.with_geometry(np.ascontiguousarray(lifted[:, :size]), interpolated)
-        return other if lifted.shape[1] == size else replace(other, relief=lifted[:, size].copy())
-
 
 def _polyline(points: Array, closed: bool) -> Array:
     return np.ascontiguousarray(np.concatenate([points, points[:1]]) if closed else points, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Measure a sheet: the border of its mask, in space with depth, and the lattice over it, compared with what is known."""
+"""Measure a sheet: its border, in space with depth, and the lattice over it, compared with what is known of it."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ no evidence, and neither is a rope that looks shorter: perspective does that.
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -43,29 +43,8 @@ _GOES_ON: Final = 0.7  # of the pixels straight ahead, or a little to the side
 _BASE: Final = (1.0, 2.5)  # widths before a tip, between which the direction of the axis is taken
 _TURNS: Final = (0.0, -0.25, 0.25, -0.5, 0.5)  # tangents of how far to the side; what is cut askew seems to turn
 
-
-_NO_SHAPES: Final = np.zeros((0, 2))
-
-
-class Tips(NamedTuple):
-    """What the two tips of a visible curve look like.
-
-    Args:
-        known: What is known about the first and the last, see ``tip_evidence``.
-        shapes: ``(2, 2)`` see ``tip_shape``; ``(0, 2)`` for a cloud.
-    """
-
-    known: tuple[int, int] = (UNKNOWN, UNKNOWN)
-    shapes: Array = _NO_SHAPES
-
-    @property
-    def covered(self) -> tuple[bool, bool]:
-        """Whether something is seen to hide the first and the last."""
-        return self.known[0] == HIDDEN, self.known[1] == HIDDEN
-
-    def reversed(self) -> Tips:
-        """Return the tips of the curve run through backwards."""
-        return Tips((self.known[1], self.known[0]), self.shapes[::-1].copy())
+#: What is known of the tips in a cloud, as ``chain_evidence`` returns it: nothing.
+UNKNOWN_TIPS: Final = (UNKNOWN, UNKNOWN), np.zeros((0, 2))
 
 
 @compiled

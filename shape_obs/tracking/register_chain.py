@@ -97,44 +97,46 @@ def register_chain(
         ``(1,)`` what is known of the rope after this frame; the curve in the direction of the rope: points, arc length,
         flags, metres (even where all of the rope is seen) and log-depth.
     """
-    after, unclear = known.copy(), False
+    after, metric, unclear, found, predicted = known.copy(), len(metres) > 0, False, points, nodes
+    if len(log_depth) > 0 and len(node_log_depth) > 0:
+        found, predicted = with_relief(points, log_depth), with_relief(nodes, node_log_depth)
     if len(nodes) > 0:
-        found, predicted = _compared(points, log_depth, nodes, node_log_depth)
-        stations = metres if len(metres) > 0 else arc
-        back, unclear = _runs_back(points, stations, len(metres) > 0, ends, found, predicted, known, expected, before)
+        stations = metres if metric else arc
+        back, unclear = _runs_back(points, stations, metric, ends, found, predicted, known[0], expected, before)
         if back:
+            found = _backwards(found)
             points, flags, ends, shapes = _backwards(points), flags[::-1].copy(), (ends[1], ends[0]), _backwards(shapes)
             arc, metres, log_depth = _from_the_end(arc), _from_the_end(metres), log_depth[::-1].copy()
     stations = _match(
-        points, arc, flags, metres, log_depth, ends, shapes, known, after[0], expected, nodes, node_log_depth
+        points, arc, flags, metres, log_depth, ends, shapes, known[0], after[0], expected, found, predicted
     )
     after[0].unclear = unclear
-    return after, points, arc, flags, stations if after[0].plain and len(metres) > 0 else metres, log_depth
+    return after, points, arc, flags, stations if after[0].plain and metric else metres, log_depth
 
 
 @compiled
 def _match(
-    points: Array, arc: Array, flags: Mask, metres: Array, log_depth: Array, ends: Ends, shapes: Array, known: State,
-    now: Any, expected: Expected, nodes: Array, node_log_depth: Array,
+    points: Array, arc: Array, flags: Mask, metres: Array, log_depth: Array, ends: Ends, shapes: Array, was: Any,
+    now: Any, expected: Expected, found: Array, predicted: Array,
 ) -> Array:  # fmt: skip
     """Find out which piece of a known rope a curve in its direction is.
 
-    Writes what is known of the rope after this frame into ``now``; see ``register_chain`` for the other arguments.
+    What was known of the rope is in ``was``; what is known after this frame is written into ``now``. The curve and the
+    predicted nodes are compared in the image, or with their log-depth. See ``register_chain`` for the others.
 
     Returns:
         ``(P,)`` stations of the curve, in metres if these are known; evened if all of the rope is seen.
     """
     last, metric, in_space = len(arc) - 1, len(metres) > 0, points.shape[1] == 3
-    was, along, size = known[0], metres if metric else arc, metres[-1] if metric else 0.0
+    along, size = metres if metric else arc, metres[-1] if metric else 0.0
     width, resolution, lapse, stale, motion, _, _, _ = expected
     now.elsewhere, now.plain = 0.0, False
     gap = _widest_gap(arc, flags)
     unbroken, length = not flags.any(), was.metres if metric else was.pixels
-    if len(nodes) == 0 or length <= 0:
+    if len(predicted) == 0 or length <= 0:
         _begin(now, shapes, width)
         learn_length(now, arc[last], size, HIDDEN not in ends, unbroken)
         return along
-    found, predicted = _compared(points, log_depth, nodes, node_log_depth)
     rope, share = from_tip_to_tip(predicted)
     steep, steepest = np.ones(2), 1.0
     if len(log_depth) > 0:
@@ -210,14 +212,6 @@ def _match(
 
 
 @compiled
-def _compared(points: Array, log_depth: Array, nodes: Array, node_log_depth: Array) -> tuple[Array, Array]:
-    """Return a curve and predicted nodes with their log-depth, if that of both is known."""
-    if len(log_depth) > 0 and len(node_log_depth) > 0:
-        return with_relief(points, log_depth), with_relief(nodes, node_log_depth)
-    return points, nodes
-
-
-@compiled
 def _begin(rope: Any, shapes: Array, width: float) -> None:
     """Forget all but the length of a rope, and remember the tips as they look now."""
     rope.drift = rope.tolerance = rope.measured = rope.elsewhere = rope.between = rope.innovation = 0.0
@@ -242,7 +236,7 @@ def _still_hidden(known: int, may_be: bool, credit: float) -> tuple[int, float]:
 
 @compiled
 def _runs_back(
-    points: Array, stations: Array, metric: bool, ends: Ends, found: Array, nodes: Array, known: State,
+    points: Array, stations: Array, metric: bool, ends: Ends, found: Array, nodes: Array, was: Any,
     expected: Expected, before: Array,
 ) -> tuple[bool, bool]:  # fmt: skip
     """Return whether a curve runs against the direction of its rope, and whether that is not clear.
@@ -256,14 +250,14 @@ def _runs_back(
         ends: What is known about its tips.
         found: ``(P, D')`` the curve as it is compared with the rope.
         nodes: ``(K, D')`` where the rope is predicted.
-        known: ``(1,)`` what is known of the rope.
+        was: What was known of the rope.
         expected: See ``Expected``.
         before: ``(K, D)`` where its nodes were.
     """
     if _is_along(found, nodes):
         return False, False
     _, resolution, lapse, _, _, seconds, reach, _ = expected
-    way, was = direction(points, before, reach), known[0]
+    way = direction(points, before, reach)
     if way != 0:
         return way < 0, False
     rope, share = from_tip_to_tip(nodes)

@@ -10,7 +10,7 @@ from shape_obs import Centerline, Intrinsics, ShapeDetector
 from shape_obs.bench.scenes import draw_rope
 from shape_obs.geometry.polyline import arc_length, resample
 from shape_obs.tracking.judge_chain import reason_of
-from shape_obs.tracking.occluders import FREE, HIDDEN, Tips
+from shape_obs.tracking.occluders import FREE, HIDDEN
 from shape_obs.tracking.state import new_rope
 from shape_obs.tracking.step import step_measured_chain
 from tests.benchmarks.hidden import track
@@ -275,8 +275,8 @@ def test_it_is_in_doubt_which_end_is_missing_where_a_free_end_may_be_folded_back
     curve = np.column_stack([np.interp(np.linspace(first, first + 0.7, 64) - 0.5, at, row) for row in nodes.T])
     nothing, expected = np.zeros(0), (8.0, 1.0, 1.0, 0.0, 0.0, np.inf, np.inf, 8.0)
     state, *_ = step_measured_chain(
-        curve, arc_length(curve), np.zeros(64, bool), nothing, nothing, *Tips((HIDDEN, FREE)), 5.0, 0.0, 1680, 16, rope,
-        expected, nodes, nothing, nodes, 0.75, False,
+        curve, arc_length(curve), np.zeros(64, bool), nothing, nothing, (HIDDEN, FREE), np.zeros((0, 2)), 5.0, 0.0,
+        1680, 16, rope, expected, nodes, nothing, nodes, 0.75, False,
     )  # fmt: skip
     assert state["hidden"][0] == pytest.approx((0.3, 0.0), abs=0.08)
     assert ("in doubt which end" in reason_of(state, "mask")) == in_doubt

@@ -13,7 +13,7 @@ from shape_obs.image.find_region import find_region
 from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
 from shape_obs.tracking.judge_chain import reason_of
-from shape_obs.tracking.occluders import Tips
+from shape_obs.tracking.occluders import UNKNOWN_TIPS
 from shape_obs.tracking.state import new_rope
 from shape_obs.tracking.step import step_measured_chain
 from shape_obs.tracking.validation import FitQuality, sample_spread, validate_outline, validate_sheet
@@ -45,7 +45,7 @@ def judged_ribbon(curve: FittedCurve, observed: Region, expected_off: float) -> 
     spread = sample_spread(samples.points, samples.weight, curve.points) + hidden
     nothing, width = np.zeros(0), observed.width
     state, *_ = step_measured_chain(
-        curve.points, curve.arc, curve.interpolated, nothing, nothing, *Tips(), spread, 0.0, observed.area, 16,
+        curve.points, curve.arc, curve.interpolated, nothing, nothing, *UNKNOWN_TIPS, spread, 0.0, observed.area, 16,
         new_rope(), (width, 1.0, 1.0, 0.0, 0.0, np.inf, np.inf, width), np.zeros((0, 2)), nothing, np.zeros((0, 2)),
         expected_off, False,
     )  # fmt: skip
