@@ -120,7 +120,7 @@ def play(stream: Stream) -> tuple[Outcome, float]:
     detector, found = ShapeDetector(**stream.arguments), list[Detection | str]()
     begin = time.perf_counter()
     for frame in range(stream.frames):
-        found.append(_detect(detector, stream, frame))
+        found.append(detect_frame(detector, stream, frame))
     took = (time.perf_counter() - begin) / stream.frames * 1e3
     specs = detector.shapes
     slots = {spec.name: slot for slot, spec in enumerate(specs)}
@@ -141,7 +141,7 @@ def play(stream: Stream) -> tuple[Outcome, float]:
     return outcome, took
 
 
-def _detect(detector: ShapeDetector, stream: Stream, frame: int) -> Detection | str:
+def detect_frame(detector: ShapeDetector, stream: Stream, frame: int) -> Detection | str:
     """Show one frame to the detector; return what it found, or the message of a ``ShapeLostError``."""
     stamp = None if np.isnan(stream.stamps[frame]) else float(stream.stamps[frame])
     anchors = {name: tuple(map(float, places[frame])) for name, places in stream.anchors.items()} or None

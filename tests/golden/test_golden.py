@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import json
+import pickle
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,7 @@ import pytest
 from shape_obs import Detection, ShapeDetector
 from tests.golden import judge, make, streams
 from tests.golden.judge import differences, score
-from tests.golden.streams import DATA, EXPECTED, Outcome, load_outcome, load_stream, names, play
+from tests.golden.streams import DATA, EXPECTED, Outcome, detect_frame, load_outcome, load_stream, names, play
 
 NAMES = names()
 
@@ -39,6 +41,25 @@ def test_a_stream_gives_the_same_twice_in_any_order(name: str):
     played = [play(load_stream(each))[0] for each in others]
     for first, second in zip(played[1], played[3], strict=True):
         np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize("again", [copy.deepcopy, lambda detector: pickle.loads(pickle.dumps(detector))])
+@pytest.mark.parametrize("name", ["rope_hand_on_end", "ropes_hand", "blob_hand", "sheet_corner_hidden", "cloud_held"])
+def test_a_copied_or_unpickled_detector_goes_on_as_the_one_it_was_made_of(name: str, again: Any):
+    stream = load_stream(name)
+    detector = ShapeDetector(**stream.arguments)
+    for frame in range(half := stream.frames // 2):
+        detect_frame(detector, stream, frame)
+    other = again(detector)
+    for frame in range(half, stream.frames):
+        one, two = (detect_frame(each, stream, frame) for each in (detector, other))
+        assert isinstance(one, Detection)
+        assert isinstance(two, Detection)
+        assert [shape.reason for shape in one] == [shape.reason for shape in two]
+        for shape, same in zip(one, two, strict=True):
+            np.testing.assert_array_equal(shape.sigma, same.sigma)
+            for field in ("points2d", "points3d"):
+                np.testing.assert_array_equal(getattr(shape, field), getattr(same, field))
 
 
 @pytest.fixture(scope="module")
