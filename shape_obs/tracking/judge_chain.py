@@ -45,26 +45,23 @@ _MAX_SPREAD: Final = 0.40  # widths: RMS distance of what is seen from the curve
 _IDEAL_SPREAD: Final = 12**-0.5  # widths: that of an ideal ribbon
 _MIN_STRETCH: Final = 0.957  # a curve that became longer by more follows something else; a pulled band does not
 _EITHER: Final = 0.08  # of the length: if so much more may be hidden at the other end, nothing is known of either
-_MIN_SEEN: Final = 0.3  # of a rope's length: what has to be in sight to report it, and below, to follow it
-_MIN_IN_PIECES: Final = 0.45  # around a gap of a tenth of it: a piece behind a long gap may be anywhere
-_GAP: Final = 0.1
-_MIN_BETWEEN: Final = 0.6  # while both ends are hidden
-_MIN_FOLLOWED: Final = 0.15
+_MIN_SEEN: Final = 0.3  # of a rope's length: so much has to be in sight to report it
+_MIN_IN_PIECES: Final = 0.45  # the same around a gap of ``_GAP``: a piece behind a long gap may be anywhere
+_GAP: Final = 0.1  # of the length: a long gap
+_MIN_BETWEEN: Final = 0.6  # of the length: so much has to be in sight while both ends are hidden
+_MIN_FOLLOWED: Final = 0.15  # of the length: with less in sight, the track stays where it was
 _MOST_END_ON: Final = 4.0  # times as long in space as in the image: its points cannot be told apart there
-# In space, if something hides one end: how much longer the other tip may be in space than in the image, or another
-# piece by this share of it, so that the length in sight shows how much lies beyond the hidden end; less if that tip
-# looks cut rather than the hidden end does.
-_MOST_ASLANT: Final = 2.7
-_ASLANT_CUT: Final = 2.0
-_ELSEWHERE: Final = 0.45
-# If nothing hides an end: how much of its length may be missing while both ends point at the camera; how steep a piece
-# may be while a tip does not look like the rope's own: where strands lie one behind the other, it may join them.
-_MOST_MISSING: Final = 0.016
-_STEEPEST: Final = 6.0
-# By how many measuring errors a rope may be too short, and standard deviations of its length, at least. All are chosen
-# from 40,000 frames of swung ropes and 7,900 under shadows, exact depth and a D455's.
-_MEASURED_SHORTER: Final = 1.4
-_SHORT: Final = 2.5
+# In space, if something hides one end, the length in sight shows how much lies beyond it, unless a piece is too steep.
+_MOST_ASLANT: Final = 2.7  # times as long in space as in the image, within half a width of the other tip
+_ASLANT_CUT: Final = 2.0  # the same where that tip looks cut rather than the hidden end does
+_ELSEWHERE: Final = 0.45  # of how steep another piece is: so much counts like the tip
+# In space, if nothing hides an end: where strands lie one behind the other, the curve may join them.
+_MOST_MISSING: Final = 0.016  # of the length, while both ends point at the camera
+_STEEPEST: Final = 6.0  # times as long in space as in the image, while a tip does not look like the rope's own
+# By how much a rope may be too short; as the five above, from 40,000 frames of swung ropes and 7,900 under shadows,
+# exact depth and a D455's.
+_MEASURED_SHORTER: Final = 1.4  # measuring errors of its length, see ``tolerance``
+_SHORT: Final = 2.5  # standard deviations of its length
 
 
 def reason_of(rope: State, noun: str) -> str:
