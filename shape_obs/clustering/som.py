@@ -213,7 +213,7 @@ def _solve_first(moments: Array, sums: Array) -> None:
         sums[0, d] /= moments[0, 0]
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8[::1], i8, f8)")
+@compiled
 def run_ring_som(samples: Array, smooth: Array, start: Array, count: int, sigma: float) -> tuple[Array, Indices]:
     """Fit a ring of nodes to an outline in one epoch.
 

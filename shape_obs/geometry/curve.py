@@ -216,6 +216,18 @@ def with_relief(points: Array, relief: Array) -> Array:
     return out
 
 
+@compiled
+def first_coordinates(points: Array, size: int) -> Array:
+    """Return the first coordinates of points."""
+    if points.shape[1] == size:
+        return points
+    out = np.empty((len(points), size))
+    for p in range(len(points)):
+        for d in range(size):
+            out[p, d] = points[p, d]
+    return out
+
+
 @compiled("(f8[::1], f8[:,::1], f8)")
 def local_stretch(arc: Array, lifted: Array, reach: float) -> Array:
     """Return ``(P,)`` how much longer a curve is in space than in the image, within ``reach`` of each point."""

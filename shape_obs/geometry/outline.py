@@ -191,7 +191,7 @@ def unround(spectrum: Array) -> float:
     return max(1 - circle / max(total, 1e-18), 0.0)
 
 
-@compiled("(f8[:,::1],)")
+@compiled
 def pairs(points: Array) -> Array:
     """Return the mean of each two points, the last alone if they are odd: ``(P, D)`` -> ``(ceil(P / 2), D)``."""
     size, dimension = points.shape

@@ -197,7 +197,7 @@ def even_around(curve: Array, arc: Array, begin: float, count: int) -> Array:
     return interpolate(curve, arc, at)
 
 
-@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8, f8, f8)")
+@compiled
 def equal_chords(
     points: Array, arc: Array, metric: Array, metric_arc: Array, count: int, margin: float, max_shift: float
 ) -> tuple[Array, Array]:

@@ -209,7 +209,7 @@ def _cross(rows: Array) -> None:
         rows[2, k] = rows[0, i] * rows[1, j] - rows[0, j] * rows[1, i]
 
 
-@compiled("(f8[:,::1], f8[:,::1])")
+@compiled
 def covariance_of(before: Array, after: Array) -> tuple[Array, Array, Array]:
     """Return the sum of the products of two sets of points about their means, and both means.
 

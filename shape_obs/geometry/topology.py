@@ -217,7 +217,7 @@ def undo_shrinkage(nodes: Array, share: float, closed: bool) -> Array:
     return out
 
 
-@compiled("(f8[:,::1],)")
+@compiled
 def from_tip_to_tip(nodes: Array) -> tuple[Array, Array]:
     """Return nodes at the centres of equal pieces with the tips, ``(K + 2, D)``, and where they lie, 0...1."""
     count, size = nodes.shape

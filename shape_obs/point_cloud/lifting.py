@@ -138,7 +138,7 @@ def _ahead(start: float, stop: float, around: float) -> float:
     return away if around == 0 else away - around * math.floor(away / around + 0.5)
 
 
-@compiled("(f8[::1], f8[::1], f8)")
+@compiled
 def nearest_expected(arc: Array, metres: Array, at: float) -> float:
     """Return the least depth that a rope may have at a place, by its depth a little further away.
 

@@ -23,7 +23,7 @@ _FEW: Final = 3.0  # times as many pixels as a strand behind has in a square: th
 _APART: Final = (2.0, 0.02)  # widths, and of the depth: strands that lie so far apart are not taken for each other
 
 
-@compiled("(f8, f8)")
+@compiled
 def strand_gap(width: float, focal: float) -> float:
     """Return by which share of its depth a strand of a rope lies apart from another.
 

@@ -206,7 +206,7 @@ def stereo_noise(focal: float, columns: int) -> float:
     return _DISPARITY_NOISE / (focal * max(_NATIVE / columns, 1.0) * _BASELINE)
 
 
-@compiled("(f8[::1], i8[:,::1], b1[::1])")
+@compiled
 def shortest_ways(gaps: Array, edges: npt.NDArray[np.int64], known: Mask) -> Array:
     """Return the length of the shortest way along ``(E, 2)`` edges of lengths ``(E,)`` to a known point, ``(N,)``.
 

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.curve import with_relief
+from shape_obs.geometry.curve import first_coordinates, with_relief
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
 from shape_obs.tracking.placement import widened
@@ -70,7 +70,7 @@ def complete_chain(
         scale, drawn = _seen_scale(points, stations, flags), _seen_scale(curve, stations, flags)
         stations = widened(stations, gap, now.between)
         curve = _filled(curve, stations, gap, drawn, rope, share, head, length, lifted)
-        arc = arc_length(_first(curve, size))
+        arc = arc_length(first_coordinates(curve, size))
         if metric:
             first, last = gap
             longer = (stations[last] - stations[first]) * scale - (arc[last] - arc[first])
@@ -83,11 +83,18 @@ def complete_chain(
         curve, flags, stations, pixels = _with_ends(
             curve, arc, flags, stations, pixels, rope, share, was, now, length, width, size, metric, lifted
         )
-        arc = arc_length(_first(curve, size))
+        arc = arc_length(first_coordinates(curve, size))
     deep = np.empty(len(curve) if lifted else 0)
     for p in range(len(deep)):
         deep[p] = curve[p, size]
-    return _first(curve, size), arc, flags, stations if metric else arc[:0], pixels if metric else stations, deep
+    return (
+        first_coordinates(curve, size),
+        arc,
+        flags,
+        stations if metric else arc[:0],
+        pixels if metric else stations,
+        deep,
+    )
 
 
 @compiled
@@ -167,7 +174,7 @@ def _with_ends(
         hidden[p] = hidden[p] or along[p] < first - 1e-9 or along[p] > length - last + 1e-9
     if len(pixels) == 0:
         return whole, hidden, along, pixels
-    drawn, out = arc_length(_first(whole, size)), np.empty(count)
+    drawn, out = arc_length(first_coordinates(whole, size)), np.empty(count)
     for p in range(count):
         if p < ahead:
             out[p] = drawn[p]
@@ -295,15 +302,3 @@ def _seen_scale(points: Array, stations: Array, flags: Mask) -> float:
         if not flags[p] and not flags[p + 1]:
             drawn, long = drawn + arc[p + 1] - arc[p], long + stations[p + 1] - stations[p]
     return drawn / max(long, 1e-9)
-
-
-@compiled
-def _first(points: Array, size: int) -> Array:
-    """Return the first coordinates of points."""
-    if points.shape[1] == size:
-        return points
-    out = np.empty((len(points), size))
-    for p in range(len(points)):
-        for d in range(size):
-            out[p, d] = points[p, d]
-    return out

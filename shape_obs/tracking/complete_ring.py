@@ -86,7 +86,7 @@ def hidden_pieces(points: Array, arc: Array, nodes: Array, known: Array, expecte
     return cut, laid
 
 
-@compiled("(f8[:,::1], f8[:,::1])")
+@compiled
 def may_be_hidden(nodes: Array, known: Array) -> bool:
     """Return whether an outline ``(K, 2)`` leaves the known one, and turns almost as it does where something hides it.
 
@@ -112,7 +112,7 @@ def may_be_hidden(nodes: Array, known: Array) -> bool:
     return False
 
 
-@compiled("(f8[:,::1],)")
+@compiled
 def turns_around(nodes: Array) -> Array:
     """Return ``(K,)`` radians by which a closed line ``(K, 2)`` turns about each node, clockwise as seen."""
     count, chord, out = len(nodes), round(_CHORD * len(nodes)), np.empty(len(nodes))
@@ -124,7 +124,7 @@ def turns_around(nodes: Array) -> Array:
     return out
 
 
-@compiled("(f8[:,::1], f8[:,::1])")
+@compiled
 def laid_along(line: Array, points: Array) -> Array:
     """Return points ``(L, 2)`` turned, scaled and shifted so that most of them lie on a closed line ``(P + 1, 2)``.
 

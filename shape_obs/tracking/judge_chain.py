@@ -18,8 +18,8 @@ Mask = npt.NDArray[np.bool_]
 
 
 # Why a curve is refused. Up to ``_UNCLEAR`` it does not fit, and does not show where the rope is.
-_OFF, _NO_ROPE, _LONGER, _EITHER_END, _UNCLEAR, _UNSEEN, _BETWEEN, _SLID = range(1, 9)
-_END_ON, _SHORTER, _ASLANT, _POINTING, _STEEP, _UNMEASURED = range(9, 15)
+_OFF, _NO_ROPE, _LONGER, _EITHER_END, _UNCLEAR, _UNSEEN, _BETWEEN, _DRIFTED = range(1, 9)
+_END_ON, _SHORTER, _OBLIQUE, _POINTING, _STEEP, _UNMEASURED = range(9, 15)
 #: The sentence for it, with the two figures of the state and what the rope is seen in, ``"mask"`` or ``"cloud"``.
 _SENTENCES: Final = {
     _OFF: "{0:.0%} of the curve lies off the {noun} (at most {1:.0%})",
@@ -31,16 +31,16 @@ _SENTENCES: Final = {
     _UNCLEAR: "it is in doubt where the rope begins",
     _UNSEEN: "{0:.0%} of the rope is in sight (at least {1:.0%})",
     _BETWEEN: "both ends are hidden, and {0:.0%} of the rope is in sight (at least {1:.0%})",
-    _SLID: "a piece without an end in sight may have slid by {0:.1%} of the rope's length",
+    _DRIFTED: "a piece without an end in sight may have slid by {0:.1%} of the rope's length",
     _END_ON: "it is seen end-on, {0:.2g} times as long as in the image (at most {1})",
     _SHORTER: "the curve is {0:.1%} shorter than the rope, and nothing is seen to hide an end",
-    _ASLANT: "an end is hidden, and the rope is {0:.2g} times as long as it looks (at most {1})",
+    _OBLIQUE: "an end is hidden, and the rope is {0:.2g} times as long as it looks (at most {1})",
     _POINTING: "both ends point at the camera, and {0:.1%} of the rope is missing at one of them",
     _STEEP: "a piece is seen end-on, {0:.2g} times as long as it looks (at most {1})",
     _UNMEASURED: "the depth shows too little of the rope to measure its length",
 }
 
-ADRIFT: Final = 0.02  # of its length: by so much a rope may have slid along itself unseen
+MAX_DRIFT: Final = 0.02  # of its length: by so much a rope may have slid along itself unseen
 _MAX_SPREAD: Final = 0.40  # widths: RMS distance of what is seen from the curve
 _IDEAL_SPREAD: Final = 12**-0.5  # widths: that of an ideal ribbon
 _MIN_STRETCH: Final = 0.957  # a curve that became longer by more follows something else; a pulled band does not
@@ -52,8 +52,8 @@ _MIN_BETWEEN: Final = 0.6  # of the length: so much has to be in sight while bot
 _MIN_FOLLOWED: Final = 0.15  # of the length: with less in sight, the track stays where it was
 _MOST_END_ON: Final = 4.0  # times as long in space as in the image: its points cannot be told apart there
 # In space, if something hides one end, the length in sight shows how much lies beyond it, unless a piece is too steep.
-_MOST_ASLANT: Final = 2.7  # times as long in space as in the image, within half a width of the other tip
-_ASLANT_CUT: Final = 2.0  # the same where that tip looks cut rather than the hidden end does
+_MOST_OBLIQUE: Final = 2.7  # times as long in space as in the image, within half a width of the other tip
+_OBLIQUE_CUT: Final = 2.0  # the same where that tip looks cut rather than the hidden end does
 _ELSEWHERE: Final = 0.45  # of how steep another piece is: so much counts like the tip
 # In space, if nothing hides an end: where strands lie one behind the other, the curve may join them.
 _MOST_MISSING: Final = 0.016  # of the length, while both ends point at the camera
@@ -127,8 +127,8 @@ def judge_chain(
         return _refuse(now, _UNSEEN, seen, least)
     if seen < _MIN_BETWEEN and now.occluded[0] and now.occluded[1]:
         return _refuse(now, _BETWEEN, seen, _MIN_BETWEEN)
-    if now.drift > ADRIFT:
-        return _refuse(now, _SLID, now.drift, 0.0)
+    if now.drift > MAX_DRIFT:
+        return _refuse(now, _DRIFTED, now.drift, 0.0)
     if now.steep > _MOST_END_ON:
         now.follow = False
         return _refuse(now, _END_ON, now.steep, _MOST_END_ON)
@@ -144,9 +144,9 @@ def judge_chain(
         steep, steepest = (stretched[0], stretched[-1]), stretched.max()
     if one_end:
         free = 0 if now.occluded[1] else 1
-        most = _ASLANT_CUT if now.occlusion[free] > now.occlusion[1 - free] else _MOST_ASLANT
-        aslant = max(steep[free], _ELSEWHERE * steepest)
-        return _refuse(now, _ASLANT if aslant > most else 0, aslant, most)
+        most = _OBLIQUE_CUT if now.occlusion[free] > now.occlusion[1 - free] else _MOST_OBLIQUE
+        oblique = max(steep[free], _ELSEWHERE * steepest)
+        return _refuse(now, _OBLIQUE if oblique > most else 0, oblique, most)
     hides, short = now.occluded[0] != 0, now.hidden[0] + now.hidden[1]
     if not hides and short > _MOST_MISSING and not now.folded[0] and not now.folded[1]:
         return _refuse(now, _POINTING, short, 0.0)

@@ -16,7 +16,7 @@ from shape_obs.camera import viewing_rays
 from shape_obs.clustering.som import batch_epochs, best_matching_units
 from shape_obs.compiled import compiled
 from shape_obs.frame import DepthImages
-from shape_obs.geometry.curve import with_relief
+from shape_obs.geometry.curve import first_coordinates, with_relief
 from shape_obs.geometry.polyline import arc_length, catmull_rom
 from shape_obs.geometry.topology import undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells, near_mask
@@ -87,10 +87,10 @@ def fit_chain_in_mask(
         nodes, sigmas = batch_epochs(points, weight, start, line, False, sigmas[:1]), sigmas[1:]
         _level_rims(points, nodes, width)
     nodes = undo_shrinkage(batch_epochs(points, weight, nodes, line, False, sigmas), pull, False)
-    flat = extend_chain(_in_image(nodes), mask, at[0], at[1], width)
+    flat = extend_chain(first_coordinates(nodes, 2), mask, at[0], at[1], width)
     lifted = catmull_rom(flat if nodes.shape[1] == 2 else _with_relief(flat, nodes), 4, False)
-    curve = _in_image(lifted)
-    spread = sample_spread(_in_image(points), weight, curve)
+    curve = first_coordinates(lifted, 2)
+    spread = sample_spread(first_coordinates(points, 2), weight, curve)
     off, on = np.empty(len(curve), np.bool_), near_mask(mask, at[0], at[1], curve, 1)
     for p in range(len(curve)):
         off[p] = not on[p]
@@ -155,15 +155,6 @@ def _off_segment(point: Array, start: Array, stop: Array, size: int) -> tuple[fl
     for d in range(size):
         off += (point[d] - start[d] - t * (stop[d] - start[d])) ** 2
     return off, t
-
-
-@compiled
-def _in_image(points: Array) -> Array:
-    """Return ``(N, 2)`` the pixels of ``(N, D)`` points."""
-    flat = np.empty((len(points), 2))
-    for n in range(len(points)):
-        flat[n, 0], flat[n, 1] = points[n, 0], points[n, 1]
-    return flat
 
 
 @compiled

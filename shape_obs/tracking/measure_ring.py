@@ -20,8 +20,7 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.uint8]
 
-# Width of the map's neighbourhood, nodes. One epoch: the start lies on the outline, and further ones change nothing.
-SIGMA: Final = 0.4
+SIGMA: Final = 0.4  # nodes: the width of the map's neighbourhood; one epoch, since the start lies on the outline
 PIECES: Final = 4  # of the curve between two nodes
 MIN_SAMPLES: Final = 8  # a ring of 16 pixels, as few as an object may have
 

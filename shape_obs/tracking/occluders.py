@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages
+from shape_obs.frame import FARTHEST, MILLIMETRE, DepthImages
 from shape_obs.image.connected_runs import nearest_pixel
 
 Array = npt.NDArray[np.float64]
@@ -43,8 +43,7 @@ _GOES_ON: Final = 0.7  # of the pixels straight ahead, or a little to the side
 _BASE: Final = (1.0, 2.5)  # widths before a tip, between which the direction of the axis is taken
 _TURNS: Final = (0.0, -0.25, 0.25, -0.5, 0.5)  # tangents of how far to the side; what is cut askew seems to turn
 
-#: What is known of the tips in a cloud, as ``chain_evidence`` returns it: nothing.
-UNKNOWN_TIPS: Final = (UNKNOWN, UNKNOWN), np.zeros((0, 2))
+UNKNOWN_TIPS: Final = (UNKNOWN, UNKNOWN), np.zeros((0, 2))  # what ``chain_evidence`` would return of a cloud
 
 
 @compiled
@@ -94,7 +93,7 @@ def learn_tips(tips: Array, shapes: Array, gain: float) -> None:
             tips[1, end, k] += gain * (off * off - tips[1, end, k])
 
 
-@compiled("(f8[:,::1], f8[::1], f8[::1], f8, " + DEPTH_TYPE + ", u1[:,::1], UniTuple(i8, 2), UniTuple(i8, 4))")
+@compiled
 def chain_evidence(
     points: Array,
     arc: Array,

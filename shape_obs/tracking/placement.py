@@ -200,7 +200,7 @@ def _cost(
     return cost, dearer
 
 
-@compiled("(UniTuple(f8, 2), f8, f8)")
+@compiled
 def settled(residuals: tuple[float, float], bent: float, apart: float) -> tuple[float, float]:
     """Return how far curves usually lie from their predictions: mean square distances, after another frame."""
     now_bent, now_apart = min(bent, _OUTLIER * residuals[0]), min(apart, _OUTLIER * residuals[1])
@@ -210,7 +210,7 @@ def settled(residuals: tuple[float, float], bent: float, apart: float) -> tuple[
     )
 
 
-@compiled("(f8, f8, f8)")
+@compiled
 def beyond_rest(apart: float, motion: float, resolution: float) -> float:
     """Return how far a curve lies from its prediction, RMS, beyond what a rope at rest may.
 
@@ -222,7 +222,7 @@ def beyond_rest(apart: float, motion: float, resolution: float) -> float:
     return math.sqrt(max(apart - max((_AT_REST * resolution) ** 2 - motion**2, 0.0), 0.0))
 
 
-@compiled("(f8, f8[:,::1], UniTuple(i8, 2), UniTuple(f8, 2), f8, f8, b1)")
+@compiled
 def slid(
     adrift: float,
     rope: Array,

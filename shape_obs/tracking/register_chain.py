@@ -16,7 +16,7 @@ from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import local_stretch, with_relief
 from shape_obs.geometry.polyline import interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
-from shape_obs.tracking.judge_chain import ADRIFT
+from shape_obs.tracking.judge_chain import MAX_DRIFT
 from shape_obs.tracking.occluders import (
     FREE,
     HIDDEN,
@@ -166,7 +166,7 @@ def _match(
     now.drift = 0.0
     if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
         usual, cut = residuals, (cut_head, cut_tail)
-        if was.drift > ADRIFT and min(cut) <= -_OWN and max(cut) > 0:  # the prediction may be of other pieces
+        if was.drift > MAX_DRIFT and min(cut) <= -_OWN and max(cut) > 0:  # the prediction may be of other pieces
             away = (was.drift * length) ** 2
             usual = max(residuals[0], _BENT * away), max(residuals[1], away)
         placed = place(

@@ -196,7 +196,7 @@ class KnownSheet:
         return complete_border(pattern, known, view.rim, space, corners, view.cut, kinks, self.sides, slack, aside)
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8[::1])")
+@compiled
 def learn_sheet(known: Array, patch: Array, sides: Array) -> tuple[Array, Array]:
     """Return what is known of a sheet after a frame in which all of it was seen: its lattice, and its sides ``(4,)``.
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, DepthImages
-from shape_obs.geometry.curve import with_relief
+from shape_obs.geometry.curve import first_coordinates, with_relief
 from shape_obs.geometry.polyline import arc_length, even_points, interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
 from shape_obs.tracking.complete_chain import complete_chain
@@ -160,10 +160,10 @@ def visible_nodes(nodes: Array, log_depth: Array, known: State) -> tuple[Array, 
     found = interpolate(rope, share, at)
     if len(log_depth) == 0:
         return found, log_depth
-    flat, deep = np.empty((count, size)), np.empty(count)
+    deep = np.empty(count)
     for k in range(count):
-        flat[k, 0], flat[k, 1], deep[k] = found[k, 0], found[k, 1], found[k, 2]
-    return flat, deep
+        deep[k] = found[k, size]
+    return first_coordinates(found, size), deep
 
 
 @compiled
@@ -220,6 +220,6 @@ def step_ring_in_mask(
     )
     as_it_was = not covered and (known.shape[1] == 3) == (len(space) > 0)
     if not as_it_was or width < thinnest or 1 - largest / max(enclosed, 1.0) < hollow:
-        return False, curve, space, curve[:, 0].copy(), nodes, known, 0.0, miss, width
+        return False, curve, space, np.empty(0), nodes, known, 0.0, miss, width
     curve, space, arc, nodes, known, turning, hidden = follow_outline(curve, space, known, nodes)
     return not hidden, curve, space, arc, nodes, known, turning, miss, width

@@ -179,7 +179,7 @@ def sample_spread(points: Array, weight: Array, curve: Array) -> float:
     return total / whole
 
 
-@compiled("(f8[:,::1], i8[::1], f8[:,::1], i8)")
+@compiled
 def ring_miss(samples: Array, unit: Indices, curve: Array, pieces: int) -> float:
     """Return the mean distance of ``(M, 2)`` samples from the tangents of a closed curve ``(P, 2)``.
 
