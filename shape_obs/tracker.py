@@ -68,7 +68,7 @@ class Tracker:
         self.track: Track | None = None
         self.strand: tuple[Array, float] | None = None
         self._gone = False  # lost for longer than ``max_age``
-        self._gate = SpeedGate(config.max_speed)
+        self._gate = SpeedGate(config.max_speed, spec.model)
         self._candidate: Candidate | None = None  # what is seen while the track finds nothing
         self._before, self._begun = self._candidate, -math.inf  # the same before this frame, and the frame's time
         self._kind: tuple[type[Observed], tuple[int, int]] | None = None
@@ -99,7 +99,7 @@ class Tracker:
         camera, now = moment.frame.camera if moment.in_3d else None, moment.clock.now
         focal = 0.0 if camera is None else camera.intrinsics.fx
         reach = self._gate.reach(self.track, now - self.track.stamp, focal, moment.size[1])
-        return predict(self.track, observed, now, self._gone, reach)
+        return predict(self.track, observed, now, self.spec.model, self._gone, reach)
 
     def target(self, moment: Moment, *, again: bool = False) -> Array | None:
         """Return where point 0 belongs if the shape is to be numbered in this frame; None if its place is free.
@@ -144,7 +144,7 @@ class Tracker:
             self._gone, self._candidate = False, None
             self._number = self._number + 1 if track is None else track.track_id
             found = found._replace(track_id=self._number)
-            self.track = advance(track, found, observed, now)
+            self.track = advance(track, found, observed, now, spec.model)
         if not found.reason:
             if spec.order == "image":
                 seen = observed.seen(found.form.points, target)
@@ -196,9 +196,10 @@ class Tracker:
         assert track is not None
         self._candidate = None
         if before is not None:
-            seen = spec.fit(observed, before.ahead(observed, now), None, scene)._replace(track_id=track.track_id)
+            ahead = before.ahead(observed, now, spec.model)
+            seen = spec.fit(observed, ahead, None, scene)._replace(track_id=track.track_id)
             if before.leads_to(seen, observed, now, gate, view):
-                self._candidate = before.continued(advance(before.track, seen, observed, now))
+                self._candidate = before.continued(advance(before.track, seen, observed, now, spec.model))
                 if before.frames == 0:
                     joins = before.joins and gate.joins(self._candidate, before.track.nodes, track, expected, view)
                     self._candidate = self._candidate._replace(joins=joins)
@@ -213,7 +214,7 @@ class Tracker:
                 return found
             own = direction(found.nodes, expected.last, expected.reach) <= 0
             found = spec.fit(observed, None, self.target(moment, again=True), scene) if own else found
-        begun = advance(None, found._replace(track_id=track.track_id), observed, now)
+        begun = advance(None, found._replace(track_id=track.track_id), observed, now, spec.model)
         self._candidate = Candidate(begun, now, 0, 0 if before is None else before.refused + 1, not own, own)
         return found
 

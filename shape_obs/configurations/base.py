@@ -20,6 +20,7 @@ from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.initialization.objects import SceneObject, find_components
 from shape_obs.spec import Spec, did_you_mean
+from shape_obs.tracking.model import MotionModel
 from shape_obs.tracking.predict import Fit, Prediction
 from shape_obs.utils.lengths import warn_unless_metres
 
@@ -118,6 +119,7 @@ class Configuration(Spec, family="configuration", modules=_MODULES):
 
     is_ribbon: ClassVar[bool] = False  # whether its nodes run along the middle of its mask
     resumes: ClassVar[bool] = False  # whether a fit can go on from a track after a loss longer than ``max_age``
+    model: ClassVar[MotionModel] = MotionModel()  # the constants of its track
 
     name: str = ""
     count: Count = None

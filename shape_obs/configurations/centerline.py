@@ -29,8 +29,9 @@ from shape_obs.initialization.objects import SceneObject
 from shape_obs.initialization.ropes import find_ropes
 from shape_obs.point_cloud.lifting import leave_out_overlaid
 from shape_obs.tracking.judge_chain import is_unclear, reason_of
+from shape_obs.tracking.model import ChainModel
 from shape_obs.tracking.occluders import UNKNOWN_TIPS
-from shape_obs.tracking.predict import MAX_SIZE_CHANGE, Fit, Prediction
+from shape_obs.tracking.predict import Fit, Prediction
 from shape_obs.tracking.register_chain import Expected, direction
 from shape_obs.tracking.state import State, new_rope, reversed_rope
 from shape_obs.tracking.step import step_chain_in_mask, step_measured_chain, visible_nodes
@@ -44,27 +45,15 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
-# Nodes sit about this many widths apart: closer, and a chain starts to fold across the rope; farther, and it cuts
-# corners. N is sampled from the curve afterwards, so it does not matter here.
-_NODE_SPACING: Final = 1.4
 _NODES: Final = (6, 128)
-_THINNEST: Final = 3.0  # pixels: nodes as near to each other as a thinner rope is wide follow its staircase
-# Width of the map's neighbourhood in each epoch, node units. If a part of the rope was hidden in the last frame, what
-# comes back has no node near it.
-_SIGMAS_INITIAL: Final = (0.8, 0.4, 0.4)
-_SIGMAS_STEADY: Final = (0.8, 0.4)
-_SIGMAS_AREA_CHANGED: Final = (1.2, 0.6, 0.4, 0.4)
 _MAX_CELL: Final = 24  # pixels
 _MAX_CELLS: Final = 4096  # about; more change nothing and cost time
 # The cost of joining pieces grows with the cube of their number, and a rope does not fall into that many.
 _MAX_PIECES: Final = 16
-_MORE: Final = 2.5  # times as many pixels as the rope: it does not come so much nearer from one frame to the next
-_WHOLE: Final = 0.03  # of a length in metres, by which the curve of a whole rope may be too long or too short
 _SHORTEST: Final = 0.005  # metres: a length below is in another unit
 _NOTHING: Final = np.zeros(0)
 _NO_NODES: Final = np.zeros((0, 2))
 _EVERYWHERE: Final = Window(-(1 << 30), -(1 << 30), 1 << 31, 1 << 31)
-_MIN_ASPECT: Final = 3.0  # length over width; what is stouter has no distinct axis, and a chain would fold up in it
 
 
 @dataclass(frozen=True)
@@ -81,6 +70,7 @@ class Centerline(Configuration, kind="centerline"):
 
     is_ribbon: ClassVar[bool] = True
     resumes: ClassVar[bool] = True
+    model: ClassVar[ChainModel] = ChainModel()
 
     n: int = 20
     ends: Ends | None = None
@@ -110,24 +100,27 @@ class Centerline(Configuration, kind="centerline"):
 
     def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Fit a chain of nodes: from where the track expects it, else along an initial axis."""
+        model = self.model
         width = prediction.width if prediction is not None and prediction.width else observed.width
-        reason = _rejection_reason(observed, width)
+        reason = _rejection_reason(observed, width, model.min_aspect)
         if reason:
             return Fit(reason=reason)
         found = Fit()
         if prediction is None or prediction.stale:  # nodes that are long out of date pull the chain away
             found = self._fit_initial(observed, prediction, scene)
-        if prediction is not None and (found.form is None or _does_not_fit(found)):
-            sigmas = _SIGMAS_STEADY if prediction.steady else _SIGMAS_AREA_CHANGED
+        if prediction is not None and (found.form is None or _does_not_fit(found, model.either_end)):
+            sigmas = model.sigmas_steady if prediction.steady else model.sigmas_changed
             found = self._step(observed, _NO_NODES, sigmas, width, MAX_HIDDEN, prediction, scene)
-            if (off := _innovation(found)) > MAX_SIZE_CHANGE:
+            if (off := _innovation(found)) > model.max_size_change:
                 more = observed.area / max(prediction.size * width, 1e-9) if observed.dimension == 2 else 1.0
-                if more > _MORE and math.isinf(off) and not prediction.stale:  # noise, or another object: be quick
-                    return Fit(reason=f"the mask has {more:.2g} times as many pixels as the rope (at most {_MORE:.2g})")
+                most = model.more_pixels
+                if more > most and math.isinf(off) and not prediction.stale:  # noise, or another object: be quick
+                    return Fit(reason=f"the mask has {more:.2g} times as many pixels as the rope (at most {most:.2g})")
                 # It is of another length, or the chain lost its way: an initial axis decides.
                 again = self._fit_initial(observed, prediction, scene)
                 fits = not math.isinf(_innovation(again))
-                found = again if fits and (_innovation(again) <= off or _is_whole(again.form)) else found
+                better = fits and (_innovation(again) <= off or _is_whole(again.form, model.whole_length))
+                found = again if better else found
         begins = prediction is None or (prediction.stale and _seems_whole(found))
         if begins and not math.isinf(_innovation(found)):
             curve: FittedCurve = found.form
@@ -140,14 +133,14 @@ class Centerline(Configuration, kind="centerline"):
 
     def _fit_initial(self, observed: Observed, prediction: Prediction | None, scene: Scene) -> Fit:
         """Fit from an initial axis."""
-        axis = medial_axis(observed)
+        axis, model = medial_axis(observed), self.model
         if axis.ambiguity:
             return Fit(reason=axis.ambiguity)
-        width = max(observed.width, _THINNEST if observed.dimension == 2 else 0.0)
-        count = int(np.clip(round(observed.length / (_NODE_SPACING * width)), *_NODES))
+        width = max(observed.width, model.thinnest if observed.dimension == 2 else 0.0)
+        count = int(np.clip(round(observed.length / (model.node_spacing * width)), *_NODES))
         start = interpolate(axis.points, axis.arc, (np.arange(count) + 0.5) / count * axis.arc[-1])
         off = axis.unsupported_fraction if prediction is None else MAX_HIDDEN
-        return self._step(observed, start, _SIGMAS_INITIAL, observed.width, off, prediction, scene)
+        return self._step(observed, start, model.sigmas_initial, observed.width, off, prediction, scene)
 
     def _step(
         self,
@@ -160,7 +153,7 @@ class Centerline(Configuration, kind="centerline"):
         scene: Scene,
     ) -> Fit:
         """Follow the rope into this frame, from an initial axis or from where it is predicted, see ``step``."""
-        known, expected, nodes, log_depth, before = _expected(prediction, width, self.length or 0.0)
+        known, expected, nodes, log_depth, before = self._expected(prediction, width)
         in_metres = self.spacing == "m"
         if isinstance(observed, Region):
             cell = max(int(min(width / 3, _MAX_CELL)), math.isqrt(observed.area // _MAX_CELLS), 1)  # thin ropes keep it
@@ -168,6 +161,7 @@ class Centerline(Configuration, kind="centerline"):
             stepped = step_chain_in_mask(
                 observed.runs, observed.mask, observed.window[:2], (scene.edge or _EVERYWHERE)[:4], scene.images, lens,
                 axis, *_epochs(sigmas), cell, observed.area, known, expected, nodes, log_depth, before, off, in_metres,
+                self.model.record,
             )  # fmt: skip
         else:
             cloud = cast("Cloud", observed)
@@ -178,6 +172,7 @@ class Centerline(Configuration, kind="centerline"):
             stepped = step_measured_chain(
                 curve, arc_length(curve), ~cloud.carries(curve), _NOTHING, _NOTHING, *UNKNOWN_TIPS, spread, width, 0,
                 len(start), known, (0.0, *expected[1:]), nodes, log_depth, before, off, in_metres,
+                self.model.record,
             )  # fmt: skip
         state, nodes, deep, points, flags, arc, metres, pixels, log_depth = stepped
         curve = FittedCurve(
@@ -190,6 +185,19 @@ class Centerline(Configuration, kind="centerline"):
             float(state["width"][0]), observed, width, bool(state["follow"][0]),
             length=float(state["metres"][0]) or None, relief=deep if len(deep) else None,
         )  # fmt: skip
+
+    def _expected(self, prediction: Prediction | None, width: float) -> tuple[State, Expected, Array, Array, Array]:
+        """Return what is known and expected of a rope, as ``step_chain_in_mask`` takes it; its width in pixels."""
+        if prediction is None:
+            expected = float(width), 1.0, 1.0, 0.0, 0.0, math.inf, math.inf, float(width)
+            return new_rope(self.model, self.length or 0.0), expected, _NO_NODES, _NOTHING, _NO_NODES
+        expected = (
+            float(width), float(prediction.resolution), float(prediction.lapse), float(prediction.stale),
+            float(prediction.motion), float(prediction.seconds), float(prediction.reach),
+            float(prediction.width),
+        )  # fmt: skip
+        relief = _NOTHING if prediction.relief is None else prediction.relief
+        return prediction.hints.rope, expected, prediction.nodes, relief, prediction.last
 
     def apply_index_order(self, form: FittedCurve, seen: Array, target: Array | None) -> FittedCurve:
         """Return the curve with point 0 at the end nearest the target, else nearest the top left."""
@@ -220,13 +228,13 @@ class Centerline(Configuration, kind="centerline"):
         return masks + AXIS_FUNCTIONS + clouds
 
 
-def _rejection_reason(observed: Observed, width: float) -> str:
+def _rejection_reason(observed: Observed, width: float, aspect: float) -> str:
     """Return why an object cannot be a rope: too many pieces, or less than three times as long as wide."""
     for part in (observed,) if observed.dimension == 2 else observed.parts:
         if part.pieces > _MAX_PIECES:
             return f"the {part.noun} falls into {part.pieces} pieces, at most {_MAX_PIECES}"
     length = observed.area / width if observed.dimension == 2 else observed.length
-    if length < _MIN_ASPECT * width:
+    if length < aspect * width:
         return f"the {observed.noun} is {length:.4g} x {width:.4g} {observed.unit}: too stout for a rope"
     return ""
 
@@ -246,31 +254,9 @@ def _epochs(sigmas: tuple[float, ...]) -> tuple[Array, float]:
     return np.array(sigmas, dtype=np.float64), shrinkage(sigmas[-1])
 
 
-def _expected(
-    prediction: Prediction | None, width: float, metres: float
-) -> tuple[State, Expected, Array, Array, Array]:
-    """Return what is known of a rope and expected of it, as ``step_chain_in_mask`` takes it.
-
-    Args:
-        prediction: None at a cold start.
-        width: Of the rope, pixels.
-        metres: Its length if that is known at a cold start; else 0.
-    """
-    if prediction is None:
-        expected = float(width), 1.0, 1.0, 0.0, 0.0, math.inf, math.inf, float(width)
-        return new_rope(metres), expected, _NO_NODES, _NOTHING, _NO_NODES
-    expected = (
-        float(width), float(prediction.resolution), float(prediction.lapse), float(prediction.stale),
-        float(prediction.motion), float(prediction.seconds), float(prediction.reach),
-        float(prediction.width),
-    )  # fmt: skip
-    relief = _NOTHING if prediction.relief is None else prediction.relief
-    return prediction.hints.rope, expected, prediction.nodes, relief, prediction.last
-
-
-def _does_not_fit(found: Fit) -> bool:
+def _does_not_fit(found: Fit, either_end: float) -> bool:
     """Return whether an initial curve does not fit, for another reason than that it is not clear which piece it is."""
-    return math.isinf(_innovation(found)) and not is_unclear(found.form.hints.rope)
+    return math.isinf(_innovation(found)) and not is_unclear(found.form.hints.rope, either_end)
 
 
 def _innovation(found: Fit) -> float:
@@ -278,10 +264,10 @@ def _innovation(found: Fit) -> float:
     return math.inf if found.form is None else float(found.form.hints.rope["innovation"][0])
 
 
-def _is_whole(form: FittedCurve) -> bool:
-    """Return whether a form is as long in space as its rope, and nothing of it is hidden."""
+def _is_whole(form: FittedCurve, share: float) -> bool:
+    """Return whether a form is as long in space as its rope, but for a share, and nothing of it is hidden."""
     rope = form.hints.rope
-    return form.metres is not None and not rope["hides"][0] and abs(rope["stretch"][0] - 1) <= _WHOLE
+    return form.metres is not None and not rope["hides"][0] and abs(rope["stretch"][0] - 1) <= share
 
 
 def _seems_whole(found: Fit) -> bool:

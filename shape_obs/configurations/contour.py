@@ -23,7 +23,7 @@ from shape_obs.image.region import Region
 from shape_obs.tracking.complete_lattice import look_around, rim_depth
 from shape_obs.tracking.complete_ring import complete_outline, hidden_pieces, nearest_places, sticks_out
 from shape_obs.tracking.measure_ring import MIN_SAMPLES, PIECES, SIGMA, fit_ring_in_mask
-from shape_obs.tracking.predict import MAX_SIZE_CHANGE, Fit, Prediction
+from shape_obs.tracking.predict import Fit, Prediction
 from shape_obs.tracking.register_ring import begin_outline, follow_outline, match_outline, renumber_outline
 from shape_obs.tracking.register_ring_in_space import blend_space, index_shift_space
 from shape_obs.tracking.step import step_ring_in_mask
@@ -97,7 +97,7 @@ class Contour(Configuration, kind="contour"):
             topology = prediction.topology
             curve, nodes, miss = self._track(observed, prediction.nodes[0], prediction, scene)
             reason, quality = validate_outline(observed, miss)
-            if reason or abs(curve.arc[-1] / prediction.size - 1) > MAX_SIZE_CHANGE:
+            if reason or abs(curve.arc[-1] / prediction.size - 1) > self.model.max_size_change:
                 outline = observed.outline_curve(self.hole)
                 start = match_outline(outline, prediction)[0].points[0]
                 curve, nodes, miss = self._track(observed, start, prediction, scene)
@@ -116,7 +116,7 @@ class Contour(Configuration, kind="contour"):
         if not followed:
             return None
         (reason, quality), size = validate_outline(region, miss), arc.item(len(arc) - 1)
-        if reason or abs(size / prediction.size - 1) > MAX_SIZE_CHANGE:
+        if reason or abs(size / prediction.size - 1) > self.model.max_size_change:
             return None
         form = FittedCurve(
             curve, np.zeros(len(curve), bool), arc, True, space=space if len(space) else None,

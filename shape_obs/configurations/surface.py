@@ -39,7 +39,7 @@ from shape_obs.tracking.measure_lattice import (
     lay_sheet,
     view_sheet,
 )
-from shape_obs.tracking.predict import MAX_SIZE_CHANGE, Fit, Prediction
+from shape_obs.tracking.predict import Fit, Prediction
 from shape_obs.tracking.register_lattice import STRAYED, match_corners
 from shape_obs.tracking.sheet_view import KnownSheet, SheetView, doubtful_places
 from shape_obs.tracking.validation import MAX_HIDDEN, FitQuality, validate_sheet
@@ -229,7 +229,8 @@ class Surface(Configuration, kind="surface"):
         found = Fit(reason="no corners were predicted")
         if prediction is not None:
             found = self._lay_in_cloud(observed, rim, rim.corners_near(_corners(prediction.nodes)), prediction)
-        if found.reason or (prediction is not None and abs(found.size / prediction.size - 1) > MAX_SIZE_CHANGE):
+        most = self.model.max_size_change
+        if found.reason or (prediction is not None and abs(found.size / prediction.size - 1) > most):
             found = self._lay_in_cloud(observed, rim, rim.corners(), prediction)
         return found
 

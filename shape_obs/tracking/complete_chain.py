@@ -23,19 +23,13 @@ from shape_obs.tracking.state import State
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-_STRETCH: Final = 1.3  # times: a gap that is so much wider or narrower than the predicted piece stays straight
-_LONG: Final = 0.06  # of the length: next to a hidden end that is shorter, the visible piece stays as it is
-_TURN: Final = 0.06  # of the length, at most: so much next to what lies behind the rope is off by up to 2 gaps of 20
-_LEVELLING: Final = 0.1  # of the log-depth of what is hidden, lost in a frame: it is as deep as what is seen next to it
-_NEXT_TO: Final = 0.25  # of the visible piece, next to a hidden end, whose scale that end has
-_ASKEW: Final = 0.6  # widths: of the visible piece next to a hidden end, which may follow the cut
 _NONE: Final = 1e-9  # of a length: less is nothing
 
 
 @compiled
 def complete_chain(
     points: Array, arc: Array, flags: Mask, metres: Array, log_depth: Array, before: State, known: State, width: float,
-    nodes: Array, node_log_depth: Array,
+    nodes: Array, node_log_depth: Array, model: Any,
 ) -> tuple[Array, Array, Mask, Array, Array, Array]:  # fmt: skip
     """Return the whole curve of a rope that is seen in part.
 
@@ -50,6 +44,7 @@ def complete_chain(
         width: Of the rope, pixels, as it was; 0 in a cloud.
         nodes: ``(K, D)`` where it is predicted.
         node_log_depth: ``(K,)`` their log-depth; ``(0,)`` without.
+        model: The constants, one ``ChainModel``.
 
     Returns:
         ``(P', D)`` the curve from tip to tip; ``(P',)`` its arc length, and what of it is interpolated; how far along
@@ -69,19 +64,19 @@ def complete_chain(
     if gap[1] > gap[0]:
         scale, drawn = _seen_scale(points, stations, flags), _seen_scale(curve, stations, flags)
         stations = widened(stations, gap, now.between)
-        curve = _filled(curve, stations, gap, drawn, rope, share, head, length, lifted)
+        curve = _filled(curve, stations, gap, drawn, rope, share, head, length, lifted, model)
         arc = arc_length(first_coordinates(curve, size))
         if metric:
             first, last = gap
             longer = (stations[last] - stations[first]) * scale - (arc[last] - arc[first])
             pixels = widened(arc, gap, float(longer))
-    stations = evened(stations, arc, length - head - tail) if metric else stations.copy()
+    stations = evened(stations, arc, length - head - tail, model) if metric else stations.copy()
     scaled = 1.0 if metric else (length - head - tail) / max(stations[-1], 1e-9)
     for p in range(len(stations)):
         stations[p] = head + scaled * stations[p]
     if head + tail > 0:
         curve, flags, stations, pixels = _with_ends(
-            curve, arc, flags, stations, pixels, rope, share, was, now, length, width, size, metric, lifted
+            curve, arc, flags, stations, pixels, rope, share, was, now, length, width, size, metric, lifted, model
         )
         arc = arc_length(first_coordinates(curve, size))
     deep = np.empty(len(curve) if lifted else 0)
@@ -100,7 +95,7 @@ def complete_chain(
 @compiled
 def _with_ends(
     curve: Array, arc: Array, flags: Mask, stations: Array, pixels: Array, rope: Array, share: Array, was: Any,
-    now: Any, length: float, width: float, size: int, metric: bool, lifted: bool,
+    now: Any, length: float, width: float, size: int, metric: bool, lifted: bool, model: Any,
 ) -> tuple[Array, Mask, Array, Array]:  # fmt: skip
     """Return the visible piece with the hidden ends before and behind it.
 
@@ -122,33 +117,36 @@ def _with_ends(
         size: How many of the coordinates are places.
         metric: Whether stations are metres though points are pixels.
         lifted: Whether the last coordinate is log-depth.
+        model: The constants, one ``ChainModel``.
 
     Returns:
         Points, flags, stations and pixels of the whole.
     """
     head, tail = now.hidden[0] * length, now.hidden[1] * length
-    start, stop = 0, len(arc)
-    while start < stop and arc[start] < (_ASKEW * width if head > _LONG * length else 0.0):
+    start, stop, cut, long = 0, len(arc), model.along_cut * width, model.long_end * length
+    while start < stop and arc[start] < (cut if head > long else 0.0):
         start += 1
-    while stop > start and arc[stop - 1] > arc[-1] - (_ASKEW * width if tail > _LONG * length else 0.0):
+    while stop > start and arc[stop - 1] > arc[-1] - (
+        model.along_cut * width if tail > model.long_end * length else 0.0
+    ):
         stop -= 1
     if stop - start < 2:
         start, stop = 0, len(arc)
     seen, at = curve[start:stop].copy(), stations[start:stop].copy()
     back, from_end = seen[::-1].copy(), at[-1] - at[::-1].copy()
-    reach = max(int(_NEXT_TO * len(seen)), 1) + 1
+    reach = max(int(model.next_to * len(seen)), 1) + 1
     if now.folded[0]:
         before = _folded(seen, at - at[0], at[0])
     else:
         before = _hidden_piece(
-            rope, share, was, 0, at[0], seen[:reach], at[:reach], length, lifted, lifted and now.occluded[0] != 0
+            rope, share, was, 0, at[0], seen[:reach], at[:reach], length, lifted, lifted and now.occluded[0] != 0, model
         )
     if now.folded[1]:
         behind = _folded(back, from_end, length - at[-1])
     else:
         behind = _hidden_piece(
             rope, share, was, 1, length - at[-1], back[:reach], from_end[:reach], length, lifted,
-            lifted and now.occluded[1] != 0,
+            lifted and now.occluded[1] != 0, model,
         )  # fmt: skip
     ahead, past = len(before), len(before) + len(seen)
     count = past + len(behind)
@@ -167,9 +165,9 @@ def _with_ends(
     # Where a rope turns round or towards the camera, and goes on behind itself, a part of the turn is not seen either.
     first, last = head, tail
     if metric and not now.occluded[0]:
-        first += min(head, _TURN * length)
+        first += min(head, model.turn * length)
     if metric and not now.occluded[1]:
-        last += min(tail, _TURN * length)
+        last += min(tail, model.turn * length)
     for p in range(count):
         hidden[p] = hidden[p] or along[p] < first - 1e-9 or along[p] > length - last + 1e-9
     if len(pixels) == 0:
@@ -188,7 +186,7 @@ def _with_ends(
 @compiled
 def _filled(
     curve: Array, stations: Array, gap: tuple[int, int], scale: float, rope: Array, share: Array, head: float,
-    length: float, lifted: bool,
+    length: float, lifted: bool, model: Any,
 ) -> Array:  # fmt: skip
     """Return a curve with a gap that is bent as predicted.
 
@@ -202,6 +200,7 @@ def _filled(
         head: Length that is hidden at its start.
         length: Of the rope.
         lifted: Whether the last coordinate is log-depth.
+        model: The constants, one ``ChainModel``.
     """
     first, last = gap
     count, size, out = last - first, curve.shape[1], curve.copy()
@@ -212,7 +211,7 @@ def _filled(
         predicted += (piece[count, d] - piece[0, d]) ** 2
         wanted += (curve[last, d] - curve[first, d]) ** 2
     chord = math.sqrt(wanted)
-    if not 1 / _STRETCH < chord / max(math.sqrt(predicted), 1e-9) < _STRETCH:
+    if not 1 / model.gap_stretch < chord / max(math.sqrt(predicted), 1e-9) < model.gap_stretch:
         return out
     # What is left over at the far end is spread along the piece, so that it meets both ends.
     for d in range(size):
@@ -230,7 +229,7 @@ def _filled(
     if lifted:
         for p in range(count + 1):
             line = piece[0, size - 1] + p / count * (piece[count, size - 1] - piece[0, size - 1])
-            out[first + p, size - 1] = piece[p, size - 1] + _LEVELLING * (line - piece[p, size - 1])
+            out[first + p, size - 1] = piece[p, size - 1] + model.levelling * (line - piece[p, size - 1])
     for p in range(count + 1):
         for d in range(size - 1 if lifted else size):
             out[first + p, d] = piece[p, d]
@@ -240,7 +239,7 @@ def _filled(
 @compiled
 def _hidden_piece(
     rope: Array, share: Array, was: Any, end: int, hidden: float, seen: Array, stations: Array, length: float,
-    lifted: bool, level: bool,
+    lifted: bool, level: bool, model: Any,
 ) -> Array:  # fmt: skip
     """Return a hidden end of the rope from its joint with the visible piece outwards, without the joint.
 
@@ -257,6 +256,7 @@ def _hidden_piece(
         length: Of the rope.
         lifted: Whether the last coordinate is log-depth.
         level: Whether something lies over it: then its depth is not known from where it was predicted.
+        model: The constants, one ``ChainModel``.
     """
     size = seen.shape[1]
     if hidden <= _NONE * length:
@@ -277,7 +277,7 @@ def _hidden_piece(
             for p in range(count):
                 piece[p, d] -= joint
                 if level and d == 2:
-                    piece[p, d] *= 1 - _LEVELLING
+                    piece[p, d] *= 1 - model.levelling
     longer, out = scale * hidden / max(arc_length(piece)[-1], 1e-9), np.empty((count - 1, size))
     for p in range(count - 1):
         for d in range(size):

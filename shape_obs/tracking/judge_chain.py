@@ -40,28 +40,11 @@ _SENTENCES: Final = {
     _UNMEASURED: "the depth shows too little of the rope to measure its length",
 }
 
-MAX_DRIFT: Final = 0.02  # of its length: by so much a rope may have slid along itself unseen
-_MAX_SPREAD: Final = 0.40  # widths: RMS distance of what is seen from the curve
-_IDEAL_SPREAD: Final = 12**-0.5  # widths: that of an ideal ribbon
-_MIN_STRETCH: Final = 0.957  # a curve that became longer by more follows something else; a pulled band does not
-_EITHER: Final = 0.08  # of the length: if so much more may be hidden at the other end, nothing is known of either
-_MIN_SEEN: Final = 0.3  # of a rope's length: so much has to be in sight to report it
-_MIN_IN_PIECES: Final = 0.45  # the same around a gap of ``_GAP``: a piece behind a long gap may be anywhere
-_GAP: Final = 0.1  # of the length: a long gap
-_MIN_BETWEEN: Final = 0.6  # of the length: so much has to be in sight while both ends are hidden
-_MIN_FOLLOWED: Final = 0.15  # of the length: with less in sight, the track stays where it was
-_MOST_END_ON: Final = 4.0  # times as long in space as in the image: its points cannot be told apart there
+_IDEAL_SCATTER: Final = 12**-0.5  # widths: that of an ideal ribbon
 # In space, if something hides one end, the length in sight shows how much lies beyond it, unless a piece is too steep.
-_MOST_OBLIQUE: Final = 2.7  # times as long in space as in the image, within half a width of the other tip
-_OBLIQUE_CUT: Final = 2.0  # the same where that tip looks cut rather than the hidden end does
-_ELSEWHERE: Final = 0.45  # of how steep another piece is: so much counts like the tip
 # In space, if nothing hides an end: where strands lie one behind the other, the curve may join them.
-_MOST_MISSING: Final = 0.016  # of the length, while both ends point at the camera
-_STEEPEST: Final = 6.0  # times as long in space as in the image, while a tip does not look like the rope's own
 # By how much a rope may be too short; as the five above, from 40,000 frames of swung ropes and 7,900 under shadows,
 # exact depth and a D455's.
-_MEASURED_SHORTER: Final = 1.4  # measuring errors of its length, see ``tolerance``
-_SHORT: Final = 2.5  # standard deviations of its length
 
 
 def reason_of(rope: State, noun: str) -> str:
@@ -75,15 +58,15 @@ def reason_of(rope: State, noun: str) -> str:
     return _SENTENCES[code].format(*rope["figures"][0].tolist(), noun=noun) if code else ""
 
 
-def is_unclear(rope: State) -> bool:
+def is_unclear(rope: State, either_end: float) -> bool:
     """Return whether it is not clear which way a curve runs along its rope, or which end is out of sight."""
-    return bool(rope["unclear"][0]) or float(rope["elsewhere"][0]) > _EITHER
+    return bool(rope["unclear"][0]) or float(rope["elsewhere"][0]) > either_end
 
 
 @compiled
 def judge_chain(
     was: Any, now: Any, points: Array, arc: Array, flags: Mask, metres: Array, log_depth: Array, spread: float,
-    width: float, ribbon: float, area: float, off: float, begins: bool, needs_metres: bool,
+    width: float, ribbon: float, area: float, off: float, begins: bool, needs_metres: bool, model: Any,
 ) -> None:  # fmt: skip
     """Write the quality of a rope's curve into its state, and the first reason for which its points may be wrong.
 
@@ -102,40 +85,41 @@ def judge_chain(
         off: The share of the curve that may be bridged or hidden.
         begins: Whether it is numbered from the start again, so that its direction need not be clear.
         needs_metres: Whether its points lie at equal steps in space, and its track began.
+        model: The constants, one ``ChainModel``.
     """
     missing = _interpolated_share(arc, flags)
     hidden, seen = min(missing, off), 1 - missing
     now.width = max(area / max(arc[-1] * seen, 1e-9), 1.0) if area > 0 else 0.0
     ratio = math.sqrt(spread) / max(max(area / max(arc[-1] * (1 - hidden), 1e-9), 1.0) if area > 0 else width, 1e-9)
-    excess = (ratio - _IDEAL_SPREAD) / (_MAX_SPREAD - _IDEAL_SPREAD)
+    excess = (ratio - _IDEAL_SCATTER) / (model.max_scatter - _IDEAL_SCATTER)
     now.follow, now.quality = False, 0.0
     if missing - hidden > MAX_OFF:
         return _refuse(now, _OFF, missing - hidden, MAX_OFF)
-    if ratio > _MAX_SPREAD:
-        return _refuse(now, _NO_ROPE, ratio, _MAX_SPREAD)
+    if ratio > model.max_scatter:
+        return _refuse(now, _NO_ROPE, ratio, model.max_scatter)
     now.quality = math.sqrt((1 - (missing - hidden) / MAX_OFF) * min(max(1 - excess, 0.0), 1.0))
     stretch = max(now.stretch, 1e-9)
-    if len(metres) > 0 and now.measured * _MIN_STRETCH > was.measured > 0 and stretch < _MIN_STRETCH:
+    if len(metres) > 0 and now.measured * model.min_stretch > was.measured > 0 and stretch < model.min_stretch:
         return _refuse(now, _LONGER, 1 / stretch - 1, 0.0)
-    if not begins and now.elsewhere > _EITHER:
+    if not begins and now.elsewhere > model.either_end:
         return _refuse(now, _EITHER_END, 0.0, 0.0)
     if not begins and now.unclear:
         return _refuse(now, _UNCLEAR, 0.0, 0.0)
-    now.follow = seen >= _MIN_FOLLOWED
-    least = _MIN_IN_PIECES if missing - (now.hidden[0] + now.hidden[1]) > _GAP else _MIN_SEEN
+    now.follow = seen >= model.min_followed
+    least = model.min_in_pieces if missing - (now.hidden[0] + now.hidden[1]) > model.long_gap else model.min_seen
     if seen < least:
         return _refuse(now, _UNSEEN, seen, least)
-    if seen < _MIN_BETWEEN and now.occluded[0] and now.occluded[1]:
-        return _refuse(now, _BETWEEN, seen, _MIN_BETWEEN)
-    if now.drift > MAX_DRIFT:
+    if seen < model.min_between and now.occluded[0] and now.occluded[1]:
+        return _refuse(now, _BETWEEN, seen, model.min_between)
+    if now.drift > model.max_drift:
         return _refuse(now, _DRIFTED, now.drift, 0.0)
-    if now.steep > _MOST_END_ON:
+    if now.steep > model.most_end_on:
         now.follow = False
-        return _refuse(now, _END_ON, now.steep, _MOST_END_ON)
+        return _refuse(now, _END_ON, now.steep, model.most_end_on)
     if len(metres) == 0:
         lost = needs_metres and was.metres > 0 and area > 0
         return _refuse(now, _UNMEASURED if lost else 0, 0.0, 0.0)
-    if stretch > 1 + max(_MEASURED_SHORTER * now.tolerance, _SHORT * now.metres_spread):
+    if stretch > 1 + max(model.short_tolerances * now.tolerance, model.short_spreads * now.metres_spread):
         return _refuse(now, _SHORTER, 1 - 1 / stretch, 0.0)
     one_end, steep, steepest = now.occluded[0] != now.occluded[1], (1.0, 1.0), 1.0
     cut = max(now.occlusion[0], now.occlusion[1]) > 0
@@ -144,13 +128,13 @@ def judge_chain(
         steep, steepest = (stretched[0], stretched[-1]), stretched.max()
     if one_end:
         free = 0 if now.occluded[1] else 1
-        most = _OBLIQUE_CUT if now.occlusion[free] > now.occlusion[1 - free] else _MOST_OBLIQUE
-        oblique = max(steep[free], _ELSEWHERE * steepest)
+        most = model.oblique_cut if now.occlusion[free] > now.occlusion[1 - free] else model.most_oblique
+        oblique = max(steep[free], model.elsewhere * steepest)
         return _refuse(now, _OBLIQUE if oblique > most else 0, oblique, most)
     hides, short = now.occluded[0] != 0, now.hidden[0] + now.hidden[1]
-    if not hides and short > _MOST_MISSING and not now.folded[0] and not now.folded[1]:
+    if not hides and short > model.most_missing and not now.folded[0] and not now.folded[1]:
         return _refuse(now, _POINTING, short, 0.0)
-    return _refuse(now, _STEEP if not hides and cut and steepest > _STEEPEST else 0, steepest, _STEEPEST)
+    return _refuse(now, _STEEP if not hides and cut and steepest > model.steepest else 0, steepest, model.steepest)
 
 
 @compiled

@@ -7,7 +7,7 @@ that touch in the image and not in space stay apart.
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,11 +32,6 @@ Mask = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]
 Drawn = tuple[Array, Array, Flags, Array, Array, float, tuple[int, int], Array]
 
-_LEAST_DEPTH: Final = 0.3  # of a curve's points: with less its length in metres is not measured
-_LONG: Final = 3.0  # widths: of a shorter curve the ends have no direction of their own
-_OFF: Final = 0.7  # widths: a sample farther from the axis, in space, has the depth of what lies behind the rope too
-_LEAST_RIM: Final = 0.5  # pixels, cut off an end that is seen at an angle
-
 
 @compiled
 def fit_chain_in_mask(
@@ -52,6 +47,7 @@ def fit_chain_in_mask(
     depth: DepthImages,
     lens: Array,
     edge: tuple[int, int, int, int],
+    model: Any,
 ) -> Drawn:
     """Run the self-organising map of a chain in a mask, finish its curve and lift it into space, all in one call.
 
@@ -68,6 +64,7 @@ def fit_chain_in_mask(
         depth: The frame's, see ``frame.depth_images``; both empty without depth or a camera.
         lens: The projection, see ``Intrinsics.lens``; ``(0,)`` without one.
         edge: Left, top, width and height of the part of the image that is searched, pixels.
+        model: The constants, one ``ChainModel``.
 
     Returns:
         ``(P, 2)`` the curve from tip to tip, pixels; its arc length in the image ``(P,)``; whether it lies off the mask
@@ -85,7 +82,7 @@ def fit_chain_in_mask(
     nodes = start
     if len(relief) > 0:
         nodes, sigmas = batch_epochs(points, weight, start, line, False, sigmas[:1]), sigmas[1:]
-        _level_rims(points, nodes, width)
+        _level_rims(points, nodes, model.off_axis * width)
     nodes = undo_shrinkage(batch_epochs(points, weight, nodes, line, False, sigmas), pull, False)
     flat = extend_chain(first_coordinates(nodes, 2), mask, at[0], at[1], width)
     lifted = catmull_rom(flat if nodes.shape[1] == 2 else _with_relief(flat, nodes), 4, False)
@@ -101,21 +98,21 @@ def fit_chain_in_mask(
             expected[p] = math.exp(lifted[p, 2] / focal)
         rays, slack = viewing_rays(curve, lens), strand_gap(width, focal)
         along, z, share = lift_chain(curve, rays, off, depth, mask, at, width, expected, slack)
-        if share >= _LEAST_DEPTH and math.isfinite(along[-1]):
+        if share >= model.least_depth and math.isfinite(along[-1]):
             metres, deep = along, np.empty(len(curve))
             for p in range(len(curve)):
                 deep[p] = focal * math.log(z[p])
-    ends, shapes = chain_evidence(curve, arc, z, width, depth, mask, at, edge)
-    if len(deep) > 0 and arc[-1] >= _LONG * width:
+    ends, shapes = chain_evidence(curve, arc, z, width, depth, mask, at, edge, model)
+    if len(deep) > 0 and arc[-1] >= model.with_direction * width:
         head, tail = rims_of(curve, arc, deep, width)
         head, tail = 0.0 if ends[0] == HIDDEN else head, 0.0 if ends[1] == HIDDEN else tail
-        if max(head, tail) > _LEAST_RIM:
+        if max(head, tail) > model.least_overhang:
             curve, arc, off, metres, deep = without_ends(curve, arc, off, metres, deep, head, tail)
     return curve, arc, off, metres, deep, spread, ends, shapes
 
 
 @compiled
-def _level_rims(points: Array, nodes: Array, width: float) -> None:
+def _level_rims(points: Array, nodes: Array, least: float) -> None:
     """Give each sample that lies off a rope's axis the relief that the axis has next to it in the image.
 
     At its rims a rope's depth is mixed with that of what lies behind it. A few such samples are far from all others,
@@ -124,18 +121,18 @@ def _level_rims(points: Array, nodes: Array, width: float) -> None:
     Args:
         points: ``(M, 3)`` pixels and relief; the relief is changed in place.
         nodes: ``(K, 3)`` along the axis.
-        width: Of the rope, pixels.
+        least: How far off the axis such a sample lies, pixels.
     """
     unit, last = best_matching_units(points, nodes), len(nodes) - 1
     for m in range(len(points)):
         k, nearest = int(unit[m]), 0.0
         for d in range(3):
             nearest += (points[m, d] - nodes[k, d]) ** 2
-        if nearest <= (_OFF * width) ** 2:
+        if nearest <= least**2:
             continue
         for i in range(max(k - 1, 0), min(k + 1, last)):
             nearest = min(nearest, _off_segment(points[m], nodes[i], nodes[i + 1], 3)[0])
-        if nearest <= (_OFF * width) ** 2:
+        if nearest <= least**2:
             continue
         nearest = np.inf
         for i in range(max(k - 2, 0), min(k + 2, last)):

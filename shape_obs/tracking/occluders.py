@@ -8,7 +8,7 @@ no evidence, and neither is a rope that looks shorter: perspective does that.
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -25,44 +25,31 @@ UNKNOWN: Final = 0
 HIDDEN: Final = 1
 FREE: Final = 2
 
-# Of how full and how askew a tip is: the standard deviation of a measurement at a width of one pixel, and of what any
-# cut does.
-_SHAPE_NOISE: Final = (0.25, 1.2)
-_ANY_CUT: Final = (0.1, 0.6)
-_UNFAMILIAR: Final = 4.0  # how much larger the variance of a tip is that was seen once
-TIP_LEARNING: Final = 0.05  # how fast the shape of a tip is learnt
-_REACH: Final = (1.5, 8.0)  # widths and pixels around a tip in which what hides it must be
 _SPARSE: Final = 12.0  # pixels: from this reach on every second row and column is looked at
-_BORDER: Final = (0.5, 2.0)  # widths and pixels from the border, within which a rope is cut off by it
 _AT_BORDER: Final = 2  # rows or columns at a border: what leaves the image there covers some of them
-_NEARER: Final = 0.008  # metres: what is nearer than the rope by this much, and its slope, lies over it
-_LEVEL: Final = 0.004  # metres: what goes on at the rope's own depth, within this, is the rope
-_TOUCHING: Final = 0.06  # of the pixels ahead: that many are nearer where something hides the rope
-_SEEN_PAST: Final = 0.5  # of the pixels ahead: that many lie behind a tip that is free
-_GOES_ON: Final = 0.7  # of the pixels straight ahead, or a little to the side
-_BASE: Final = (1.0, 2.5)  # widths before a tip, between which the direction of the axis is taken
 _TURNS: Final = (0.0, -0.25, 0.25, -0.5, 0.5)  # tangents of how far to the side; what is cut askew seems to turn
 
 UNKNOWN_TIPS: Final = (UNKNOWN, UNKNOWN), np.zeros((0, 2))  # what ``chain_evidence`` would return of a cloud
 
 
 @compiled
-def remember_tips(tips: Array, shapes: Array, width: float) -> None:
+def remember_tips(tips: Array, shapes: Array, width: float, model: Any) -> None:
     """Remember what a rope's own tips look like that were seen once.
 
     Args:
         tips: ``(2, 2, 2)`` mean and variance by tip, see ``RopeState``; written to.
         shapes: ``(2, 2)`` see ``tip_shape``.
         width: Of the rope, pixels.
+        model: The constants, one ``ChainModel``.
     """
     for end in range(2):
         for k in range(2):
             tips[0, end, k] = shapes[end, k]
-            tips[1, end, k] = _UNFAMILIAR * (_SHAPE_NOISE[k] / max(width, 1.0)) ** 2
+            tips[1, end, k] = model.unfamiliar * (model.tip_noise[k] / max(width, 1.0)) ** 2
 
 
 @compiled
-def likelier_cut(shapes: Array, before: Array, width: float) -> tuple[float, float]:
+def likelier_cut(shapes: Array, before: Array, width: float, model: Any) -> tuple[float, float]:
     """Return how much likelier, as logarithms, two tips are cut than a rope's own.
 
     A tip of the rope looks as it did before; what hides it cuts it in any way.
@@ -71,13 +58,14 @@ def likelier_cut(shapes: Array, before: Array, width: float) -> tuple[float, flo
         shapes: ``(2, 2)`` see ``tip_shape``.
         before: ``(2, 2, 2)`` see ``RopeState``.
         width: Of the rope, pixels.
+        model: The constants, one ``ChainModel``.
     """
     first = last = 0.0
     for k in range(2):
-        least = (_SHAPE_NOISE[k] / max(width, 1.0)) ** 2
+        least = (model.tip_noise[k] / max(width, 1.0)) ** 2
         for end in range(2):
             own = max(before[1, end, k], least)
-            any_way, off = own + _ANY_CUT[k] ** 2, (shapes[end, k] - before[0, end, k]) ** 2
+            any_way, off = own + model.any_cut[k] ** 2, (shapes[end, k] - before[0, end, k]) ** 2
             likelier = (off / own - off / any_way + math.log(own / any_way)) / 2
             first, last = (first, last + likelier) if end else (first + likelier, last)
     return first, last
@@ -103,6 +91,7 @@ def chain_evidence(
     mask: Mask,
     at: tuple[int, int],
     edge: tuple[int, int, int, int],
+    model: Any,
 ) -> tuple[tuple[int, int], Array]:
     """Return what is known about the first and the last point of a curve.
 
@@ -115,6 +104,7 @@ def chain_evidence(
         mask: ``(h, w)`` uint8, C-contiguous.
         at: Image column and row of its first pixel.
         edge: Left, top, width and height of the part of the image that is searched, pixels.
+        model: The constants, one ``ChainModel``.
 
     Returns:
         What is known of both, see ``tip_evidence``; ``(2, 2)`` what they look like, see ``tip_shape``.
@@ -128,12 +118,14 @@ def chain_evidence(
         reach = max(math.sqrt(x * x + y * y), 1e-9)
         ahead[0], ahead[1] = x / reach, y / reach
         slope = abs(z[tip] - z[inner]) / reach
-        base = _inwards(arc, tip, step, _BASE[0] * width)
-        before = _inwards(arc, tip, step, _BASE[1] * width)
+        base = _inwards(arc, tip, step, model.tip_base[0] * width)
+        before = _inwards(arc, tip, step, model.tip_base[1] * width)
         x, y = points[base, 0] - points[before, 0], points[base, 1] - points[before, 1]
         reach = math.sqrt(x * x + y * y)
         onwards[0], onwards[1] = (x / reach, y / reach) if reach > 0 else (ahead[0], ahead[1])
-        known = tip_evidence(points[tip], ahead, points[base], onwards, width, z[tip], slope, depth, mask, at, edge)
+        known = tip_evidence(
+            points[tip], ahead, points[base], onwards, width, z[tip], slope, depth, mask, at, edge, model
+        )
         found = (found[0], known) if end else (known, 0)
         shapes[end, 0], shapes[end, 1] = tip_shape(points[tip], ahead, width, mask, at)
     return found, shapes
@@ -204,6 +196,7 @@ def tip_evidence(
     mask: Mask,
     at: tuple[int, int],
     edge: tuple[int, int, int, int],
+    model: Any,
 ) -> int:
     """Return what is known about a visible tip: ``UNKNOWN``, ``HIDDEN`` or ``FREE``.
 
@@ -219,8 +212,9 @@ def tip_evidence(
         mask: ``(h, w)`` uint8, C-contiguous.
         at: Image column and row of its first pixel.
         edge: Left, top, width and height of the part of the image that is searched, pixels.
+        model: The constants, one ``ChainModel``.
     """
-    near = max(_BORDER[0] * width, _BORDER[1])
+    near = max(model.at_border[0] * width, model.at_border[1])
     if (
         tip[0] < edge[0] + near
         or tip[1] < edge[1] + near
@@ -228,7 +222,7 @@ def tip_evidence(
         or tip[1] > edge[1] + edge[3] - 1 - near
     ) and _reaches_border(tip, width, mask, at, edge):
         return HIDDEN
-    (millimetres, metric), reach = depth, max(_REACH[0] * width, _REACH[1])
+    (millimetres, metric), reach = depth, max(model.tip_reach[0] * width, model.tip_reach[1])
     whole, step = len(millimetres) > 0, 2 if reach >= _SPARSE else 1
     high, wide = millimetres.shape if whole else metric.shape
     if high == 0 or not z > 0:
@@ -250,19 +244,19 @@ def tip_evidence(
             known = 0 < metres < FARTHEST
             count += 1
             spare = slope * away
-            nearer += known and metres < z - _NEARER - spare
+            nearer += known and metres < z - model.nearer - spare
             x, y = u - base[0], v - base[1]
             on, off = x * onwards[0] + y * onwards[1], y * onwards[0] - x * onwards[1]
             for turn in range(len(_TURNS)):
                 if abs(off - _TURNS[turn] * on) <= max(width / 3, 1.0):
                     straight[turn] += 1
-                    level[turn] += known and abs(metres - z) <= _LEVEL + spare
+                    level[turn] += known and abs(metres - z) <= model.level + spare
             if abs(across) > 0.8 * width:
                 aside += 1
-                lower += known and metres > z + _LEVEL + spare
-    if nearer >= max(_TOUCHING * count, 2.0):
+                lower += known and metres > z + model.level + spare
+    if nearer >= max(model.touching * count, 2.0):
         return HIDDEN
     for turn in range(len(_TURNS)):
-        if straight[turn] and level[turn] >= _GOES_ON * straight[turn] and lower >= _SEEN_PAST * aside:
+        if straight[turn] and level[turn] >= model.goes_on * straight[turn] and lower >= model.seen_past * aside:
             return HIDDEN
     return FREE

@@ -8,7 +8,7 @@ would have to be off, and what is seen at the tips.
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,16 +16,13 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.rotation import largest_trace
+from shape_obs.tracking.model import ChainConstants  # noqa: F401 - in a signature
 from shape_obs.tracking.occluders import FREE, HIDDEN
 
 Array = npt.NDArray[np.float64]
 Ends = tuple[int, int]
 
 PROBES: Final = np.linspace(0, 1, 32)  # of a visible piece, at which it is compared with the prediction
-INDEPENDENT: Final = (4.0, 1.0)  # of the probes: neighbours err alike, and a rope that is elsewhere is so as a whole
-NOISE: Final = 0.15  # in resolutions: how far off a curve lies that was predicted perfectly
-_AT_REST: Final = 0.35  # in resolutions: a rope at rest is not farther from its prediction
-TRUST: Final = 5.0  # squared standard deviations, beyond which costs grow slowly: predictions may be far off
 _SHARES: Final = 8  # of what is missing, that may be hidden at an end
 _FINER: Final = 3  # times, that the best share is looked for with steps of half the size
 # Steps of what is hidden at the start and at the end; the first two keep their sum.
@@ -34,13 +31,6 @@ _NEARER: Final = 0.9  # a surprise of -1 has no logarithm
 # What it costs, in squared standard deviations, to take an end for hidden: one of which nothing is known, one that
 # something hides, and a free one, which is then folded back or points at the camera. And by which share of the length
 # it changes from frame to frame.
-_COST: Final = (4.0, 1.0, 16.0)
-_INERTIA: Final = (0.05, 0.1, 0.05)
-_FOLDED: Final = 100.0  # of a free end while something hides the other, which explains what is missing
-_BRIDGE: Final = 0.35  # of a bridged gap: the standard deviation of its length
-_NOISY: Final = 3.0  # standard deviations by which a length may be short, though an end is hidden
-_SETTLING: Final = 0.1  # how fast the distance of curves from their predictions is learnt
-_OUTLIER: Final = 10.0  # residuals: more is not learnt from at once
 
 
 class Placed(NamedTuple):
@@ -66,7 +56,7 @@ class Placed(NamedTuple):
 
 @compiled(
     "(f8[:,::1], f8[::1], f8[:,::1], f8[::1], UniTuple(i8, 2), UniTuple(f8, 2), UniTuple(f8, 2), UniTuple(f8, 2), f8, "
-    "f8, f8, f8, UniTuple(i8, 2))"
+    "f8, f8, f8, UniTuple(i8, 2), ChainConstants)"
 )
 def place(
     rope: Array,
@@ -82,6 +72,7 @@ def place(
     resolution: float,
     lapse: float,
     gap: tuple[int, int],
+    model: Any,
 ) -> Placed:
     """Return how much of a rope is hidden at its start, at its end and in a gap: what costs least.
 
@@ -101,11 +92,12 @@ def place(
         resolution: Of the observation.
         lapse: How much farther from its prediction the rope may be than after one interval, squared.
         gap: The last point before a gap and the first after it; the same without one.
+        model: The constants, one ``ChainModel``.
     """
     steps, piece, bridge = _SHARES, missing / _SHARES, stations[gap[1]] - stations[gap[0]]
-    length, loose = missing + stations[-1], noise + _BRIDGE * bridge
+    length, loose = missing + stations[-1], noise + model.bridge * bridge
     # What is missing is hidden where something hides it.
-    least = steps if bridge == 0 and HIDDEN in ends and missing > _NOISY * noise else 0
+    least = steps if bridge == 0 and HIDDEN in ends and missing > model.too_short * noise else 0
     bent, apart = np.full((steps + 1, steps + 1), np.inf), np.full((steps + 1, steps + 1), np.inf)
     found = _probes(points, stations, gap, 0.0)
     for hidden in range(least, steps + 1):
@@ -114,7 +106,7 @@ def place(
         for a in range(hidden + 1):
             first, second = a * piece / length, (hidden - a) * piece / length
             bent[a, hidden - a], apart[a, hidden - a] = disagreement(rope, share, found, first, second)
-    floor, nearest = (NOISE * resolution) ** 2, (bent.min(), apart.min())
+    floor, nearest = (model.perfect * resolution) ** 2, (bent.min(), apart.min())
     usual = max(lapse * residuals[0], floor), max(lapse * residuals[1], floor)
     # The cheapest as what hides an end explains it, and as the prediction and the tips alone do.
     best, likeliest, a, b, other_a, other_b = np.inf, np.inf, 0, 0, 0, 0
@@ -122,15 +114,15 @@ def place(
         for second in range(steps + 1 - first):
             if bent[first, second] == np.inf:
                 continue
-            cost, dearer = _cost(first * piece, second * piece, missing, length, loose, ends, cut, before)
-            cost += _surprise(bent[first, second] - nearest[0], apart[first, second] - nearest[1], usual)
+            cost, dearer = _cost(first * piece, second * piece, missing, length, loose, ends, cut, before, model)
+            cost += _surprise(bent[first, second] - nearest[0], apart[first, second] - nearest[1], usual, model)
             if cost + dearer < best:
                 best, a, b = cost + dearer, first, second
             if cost < likeliest:
                 likeliest, other_a, other_b = cost, first, second
     head, tail, off = a * piece, b * piece, (bent[a, b], apart[a, b])
     both = ends[0] == ends[1] if HIDDEN in ends else min(cut) > 0
-    if both and missing > _NOISY * noise:
+    if both and missing > model.too_short * noise:
         # Where both ends are out of sight, what each of them loses from one frame to the next is less than a share.
         for n in range(_FINER):
             step, centre = piece / 2 ** (n + 1), (head, tail)
@@ -141,8 +133,8 @@ def place(
                 if bridge > 0:
                     found = _probes(points, stations, gap, missing - first - second)
                 now = disagreement(rope, share, found, first / length, second / length)
-                cost, dearer = _cost(first, second, missing, length, loose, ends, cut, before)
-                cost += dearer + _surprise(now[0] - nearest[0], now[1] - nearest[1], usual)
+                cost, dearer = _cost(first, second, missing, length, loose, ends, cut, before, model)
+                cost += dearer + _surprise(now[0] - nearest[0], now[1] - nearest[1], usual, model)
                 if cost < best:
                     best, head, tail, off = cost, first, second, now
     elsewhere = max(abs(a - other_a), abs(b - other_b)) * piece / length
@@ -157,11 +149,11 @@ def _probes(points: Array, stations: Array, gap: tuple[int, int], between: float
 
 
 @compiled
-def _surprise(bent: float, apart: float, usual: tuple[float, float]) -> float:
+def _surprise(bent: float, apart: float, usual: tuple[float, float], model: Any) -> float:
     """Return what it costs that a piece lies farther from its prediction than another one, in squared deviations."""
-    form = max(INDEPENDENT[0] / TRUST * bent / usual[0], -_NEARER)
-    place = max(INDEPENDENT[1] / TRUST * apart / usual[1], -_NEARER)
-    return TRUST * math.log((1 + form) * (1 + place))
+    form = max(model.independent[0] / model.trust * bent / usual[0], -_NEARER)
+    place = max(model.independent[1] / model.trust * apart / usual[1], -_NEARER)
+    return model.trust * math.log((1 + form) * (1 + place))
 
 
 @compiled
@@ -174,6 +166,7 @@ def _cost(
     ends: Ends,
     cut: tuple[float, float],
     before: tuple[float, float],
+    model: Any,
 ) -> tuple[float, float]:
     """Return what it costs to take lengths at both ends for hidden, and how much more if one end is free.
 
@@ -185,14 +178,14 @@ def _cost(
     for end in range(2):
         share, known = (tail if end else head) / length, ends[end]
         was = 0.0 if known == FREE else before[end]
-        change = TRUST * math.log1p(((share - was) / _INERTIA[known]) ** 2 / TRUST)
+        change = model.trust * math.log1p(((share - was) / model.inertia[known]) ** 2 / model.trust)
         if share > 0:
-            price = _COST[known] if was <= 0 else 0.0
+            price = model.cost_of_hiding[known] if was <= 0 else 0.0
             price += 0.0 if HIDDEN in ends else 2 * (max(cut) - cut[end])
             cost += price
             if known == FREE and HIDDEN in ends:  # a hairpin closes in the image from one frame to the next
                 likelier = 2 * max(cut[end] - cut[1 - end], 0.0)
-                cost, dearer = cost - likelier, dearer + likelier + _FOLDED - price
+                cost, dearer = cost - likelier, dearer + likelier + model.cost_of_folding - price
                 change = 0.0
         elif HIDDEN not in ends:
             cost += 2 * max(cut[end], 0.0)
@@ -201,25 +194,25 @@ def _cost(
 
 
 @compiled
-def settled(residuals: tuple[float, float], bent: float, apart: float) -> tuple[float, float]:
+def settled(residuals: tuple[float, float], bent: float, apart: float, model: Any) -> tuple[float, float]:
     """Return how far curves usually lie from their predictions: mean square distances, after another frame."""
-    now_bent, now_apart = min(bent, _OUTLIER * residuals[0]), min(apart, _OUTLIER * residuals[1])
+    now_bent, now_apart = min(bent, model.outlier * residuals[0]), min(apart, model.outlier * residuals[1])
     return (
-        residuals[0] + _SETTLING * (now_bent - residuals[0]),
-        residuals[1] + _SETTLING * (now_apart - residuals[1]),
+        residuals[0] + model.settling * (now_bent - residuals[0]),
+        residuals[1] + model.settling * (now_apart - residuals[1]),
     )
 
 
 @compiled
-def beyond_rest(apart: float, motion: float, resolution: float) -> float:
+def beyond_rest(apart: float, motion: float, least: float) -> float:
     """Return how far a curve lies from its prediction, RMS, beyond what a rope at rest may.
 
     Args:
         apart: Mean square distance.
         motion: How far it is expected to have moved, RMS: a rope that moves is not at rest.
-        resolution: Of the observation.
+        least: How far off a rope at rest may be, in the unit of the points.
     """
-    return math.sqrt(max(apart - max((_AT_REST * resolution) ** 2 - motion**2, 0.0), 0.0))
+    return math.sqrt(max(apart - max(least**2 - motion**2, 0.0), 0.0))
 
 
 @compiled

@@ -14,14 +14,10 @@ from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.outline import with_turning
 from shape_obs.geometry.topology import Topology
 from shape_obs.image.roi import Window
+from shape_obs.tracking.model import MotionModel
 
 Array = npt.NDArray[np.float64]
 
-_VELOCITY_SHARE: Final = 0.8
-MAX_SIZE_CHANGE: Final = 0.06  # of the size, from one frame to the next
-_MAX_WIDTH_CHANGE: Final = 0.02
-_WIDTH_NOISE: Final = 0.03
-_STEADY: Final = 0.003  # of its area, by which an object that is seen as a whole changes from frame to frame
 _LEAST_INTERVAL: Final = 1e-6  # seconds; stamps that are closer give no velocity
 _NOTHING: Final = np.zeros(0)
 
@@ -148,7 +144,12 @@ def length_in_image(known: Track | Prediction | None) -> float:
 
 
 def predict(
-    track: Track | None, observed: Observed, stamp: float, stale: bool = False, reach: float = math.inf
+    track: Track | None,
+    observed: Observed,
+    stamp: float,
+    model: MotionModel,
+    stale: bool = False,
+    reach: float = math.inf,
 ) -> Prediction | None:
     """Predict the nodes at ``stamp``: the last place plus most of the last step; None without a track.
 
@@ -159,16 +160,16 @@ def predict(
         return None
     since, relief, climb = stamp - track.stamp, track.relief, track.climb
     rising = (_NOTHING, _NOTHING) if relief is None or climb is None else (relief, climb)
-    ahead = _VELOCITY_SHARE * min(max(since, 0.0), track.interval)
+    ahead = model.velocity_share * min(max(since, 0.0), track.interval)
     nodes, deep, motion = extrapolated(track.nodes, track.velocity, *rising, ahead)
-    steady = abs(observed.area - track.area) <= _STEADY * track.area
+    steady = abs(observed.area - track.area) <= model.steady * track.area
     known = track.size, track.topology, track.hints, observed.resolution, track.width
     lapse = max(since / track.interval, 1.0) if track.interval > 0 else 1.0
     deep = relief if climb is None else deep
     return Prediction(nodes, *known, steady, stale, deep, lapse, motion, track.nodes, since, reach)
 
 
-def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -> Track:
+def advance(track: Track | None, found: Fit, observed: Observed, stamp: float, model: MotionModel) -> Track:
     """Return the track after a frame in which a form was found.
 
     Widths change slowly: what hides a piece that is not known to be hidden makes the rest no thinner. And they do not
@@ -179,11 +180,11 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float) -
     assert nodes is not None
     assert topology is not None
     if track is not None and track.width and width:
-        width = track.width * (1 + _believed(width / track.width - 1))
+        width = track.width * (1 + _believed(width / track.width - 1, model))
     interval = 0.0 if track is None else stamp - track.stamp
     if track is not None and interval > _LEAST_INTERVAL:
         relief = (_NOTHING, _NOTHING) if found.relief is None or track.relief is None else (found.relief, track.relief)
-        turning = 1.0 if form.hints.turning is None else form.hints.turning / _VELOCITY_SHARE
+        turning = 1.0 if form.hints.turning is None else form.hints.turning / model.velocity_share
         velocity, changed = rates(nodes, track.nodes, *relief, interval, turning)
         climb = changed if len(changed) else None
     else:
@@ -228,11 +229,11 @@ def rates(
     return (velocity if turning == 1 else with_turning(nodes, velocity, turning)), climb
 
 
-def _believed(change: float) -> float:
+def _believed(change: float, model: MotionModel) -> float:
     """Return the part of a width's relative change that is not noise, limited per frame."""
-    if abs(change) <= _WIDTH_NOISE:
+    if abs(change) <= model.width_noise:
         return 0.0
-    return max(-_MAX_WIDTH_CHANGE, min(change, _MAX_WIDTH_CHANGE))
+    return max(-model.max_width_change, min(change, model.max_width_change))
 
 
 def _drift(before: Window, after: Window) -> int:

@@ -16,21 +16,16 @@ from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import local_stretch, with_relief
 from shape_obs.geometry.polyline import interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
-from shape_obs.tracking.judge_chain import MAX_DRIFT
 from shape_obs.tracking.occluders import (
     FREE,
     HIDDEN,
-    TIP_LEARNING,
     UNKNOWN,
     learn_tips,
     likelier_cut,
     remember_tips,
 )
 from shape_obs.tracking.placement import (
-    INDEPENDENT,
-    NOISE,
     PROBES,
-    TRUST,
     Placed,
     beyond_rest,
     disagreement,
@@ -49,33 +44,13 @@ Ends = tuple[int, int]
 #: moved since then, and its width as it was, pixels.
 Expected = tuple[float, float, float, float, float, float, float, float]
 
-_GRAIN: Final = (0.3, 0.9)  # in resolutions: that of a short one, and what a rope adds that is seen twice as short
-_POINTING: Final = 3.0  # times as long in space as in the image: there a tip hides what goes on behind it
-_SLACK: Final = (0.01, 1.5)  # of the length and in resolutions: what is missing below this is noise
-_BEYOND: Final = 4.0  # standard deviations, beyond which noise explains nothing
-_EVENLY: Final = 0.1  # the weight of a piece of a curve at a right angle to the view, in a length that is off
-_FADING: Final = 0.8  # how much of the last frame's evidence for cut tips is kept
-_CERTAIN: Final = 8.0  # the most that such evidence can weigh
-_OWN: Final = 6.0  # a logarithm: a tip that is so much likelier the rope's own than cut shows where the rope ends
-_DOUBTFUL: Final = 1.5  # standard deviations by which a rope is too short, and its tips may be cut
-_CLEAR: Final = 3.0  # how much nearer ends lie to their own places than to each other's
-_UNSEEN: Final = 30.0  # squared standard deviations: a piece that lies where all was folded back is so unlikely
-_SURE: Final = 8.0  # squared standard deviations by which the other direction has to be less likely
-_UNCOVERING: Final = 2.0  # in a second, an end goes out of sight or comes to light, about
 _PLACES: Final = 7  # along the rope, at which a piece is compared with it to find its direction
-_BY_NOISE: Final = 1.0  # standard deviations of a length, which may seem hidden
-_SLIDES: Final = 0.1  # of a bridged gap: by so much what lies behind it may have slid into it
-_CREDIT: Final = 3.0  # frames, for which an end is taken for hidden after something was seen to hide it
-_STILL: Final = 0.5  # of what was hidden: an end is only taken for hidden if so much is missing
-_LONG_AGO: Final = 25.0  # squared intervals of a track, after which a rope may have slid anywhere
-_BENT: Final = 0.25  # of the squared distance by which a rope has slid: how far off the form of a piece is then
-_LEAST: Final = 0.002  # of a length in pixels: less cannot be seen to be missing
 
 
 @compiled
 def register_chain(
     points: Array, arc: Array, flags: Mask, metres: Array, log_depth: Array, ends: Ends, shapes: Array, known: State,
-    expected: Expected, nodes: Array, node_log_depth: Array, before: Array,
+    expected: Expected, nodes: Array, node_log_depth: Array, before: Array, model: Any,
 ) -> tuple[State, Array, Array, Mask, Array, Array]:  # fmt: skip
     """Find out which piece of a known rope a curve is, and which way it runs along the rope.
 
@@ -92,6 +67,7 @@ def register_chain(
         nodes: ``(K, D)`` where it is predicted; ``(0, D)`` at a cold start.
         node_log_depth: ``(K,)`` their log-depth; ``(0,)`` without.
         before: ``(K, D)`` where the nodes were.
+        model: The constants, one ``ChainModel``.
 
     Returns:
         ``(1,)`` what is known of the rope after this frame; the curve in the direction of the rope: points, arc length,
@@ -102,13 +78,13 @@ def register_chain(
         found, predicted = with_relief(points, log_depth), with_relief(nodes, node_log_depth)
     if len(nodes) > 0:
         stations = metres if metric else arc
-        back, unclear = _runs_back(points, stations, metric, ends, found, predicted, known[0], expected, before)
+        back, unclear = _runs_back(points, stations, metric, ends, found, predicted, known[0], expected, before, model)
         if back:
             found = _backwards(found)
             points, flags, ends, shapes = _backwards(points), flags[::-1].copy(), (ends[1], ends[0]), _backwards(shapes)
             arc, metres, log_depth = _from_the_end(arc), _from_the_end(metres), log_depth[::-1].copy()
     stations = _match(
-        points, arc, flags, metres, log_depth, ends, shapes, known[0], after[0], expected, found, predicted
+        points, arc, flags, metres, log_depth, ends, shapes, known[0], after[0], expected, found, predicted, model
     )
     after[0].unclear = unclear
     return after, points, arc, flags, stations if after[0].plain and metric else metres, log_depth
@@ -117,7 +93,7 @@ def register_chain(
 @compiled
 def _match(
     points: Array, arc: Array, flags: Mask, metres: Array, log_depth: Array, ends: Ends, shapes: Array, was: Any,
-    now: Any, expected: Expected, found: Array, predicted: Array,
+    now: Any, expected: Expected, found: Array, predicted: Array, model: Any,
 ) -> Array:  # fmt: skip
     """Find out which piece of a known rope a curve in its direction is.
 
@@ -134,8 +110,8 @@ def _match(
     gap = _widest_gap(arc, flags)
     unbroken, length = not flags.any(), was.metres if metric else was.pixels
     if len(predicted) == 0 or length <= 0:
-        _begin(now, shapes, width)
-        learn_length(now, arc[last], size, HIDDEN not in ends, unbroken)
+        _begin(now, shapes, width, model)
+        learn_length(now, arc[last], size, HIDDEN not in ends, unbroken, model)
         return along
     rope, share = from_tip_to_tip(predicted)
     steep, steepest = np.ones(2), 1.0
@@ -144,60 +120,66 @@ def _match(
         steep[0], steep[1] = stretched[0], stretched[last]
         for p in range(last + 1):
             steepest = max(steepest, stretched[p])
-    short = (1 - along[last] / length) / _STILL
-    first, now.hold[0] = _still_hidden(ends[0], _SLACK[0] < was.hidden[0] < short, was.hold[0])
-    second, now.hold[1] = _still_hidden(ends[1], _SLACK[0] < was.hidden[1] < short, was.hold[1])
+    short = (1 - along[last] / length) / model.still_missing
+    first, now.hold[0] = _still_hidden(ends[0], model.slack[0] < was.hidden[0] < short, was.hold[0], model)
+    second, now.hold[1] = _still_hidden(ends[1], model.slack[0] < was.hidden[1] < short, was.hold[1], model)
     ends = first, second
     if HIDDEN in ends:  # that explains what is missing
         first, second = first if first != UNKNOWN else FREE, second if second != UNKNOWN else FREE
     # What points at the camera lies in front of what goes on behind it.
-    first = UNKNOWN if first == FREE and steep[0] > _POINTING else first
-    second = UNKNOWN if second == FREE and steep[1] > _POINTING else second
+    first = UNKNOWN if first == FREE and steep[0] > model.pointing else first
+    second = UNKNOWN if second == FREE and steep[1] > model.pointing else second
     ends = first, second
     familiar = was.tips_known and len(shapes) > 0
-    likelier = likelier_cut(shapes, was.tips, width) if familiar else (0.0, 0.0)
-    cut_head = min(max(_FADING * was.occlusion[0] + likelier[0], -_CERTAIN), _CERTAIN)
-    cut_tail = min(max(_FADING * was.occlusion[1] + likelier[1], -_CERTAIN), _CERTAIN)
+    likelier = likelier_cut(shapes, was.tips, width, model) if familiar else (0.0, 0.0)
+    cut_head = min(max(model.fading * was.occlusion[0] + likelier[0], -model.certain), model.certain)
+    cut_tail = min(max(model.fading * was.occlusion[1] + likelier[1], -model.certain), model.certain)
     step = resolution * along[last] / max(arc[last], 1e-9)  # in the unit of the stations
-    slack, missing, least = _SLACK[0] * length + _SLACK[1] * step, length - along[last], _LEAST * length
+    slack, missing, least = (
+        model.slack[0] * length + model.slack[1] * step,
+        length - along[last],
+        model.least_missing * length,
+    )
     spread = was.metres_spread if metric or in_space else was.pixels_spread
-    noise = spread * length + (_GRAIN[0] + _GRAIN[1] * (steepest - 1)) * step
+    noise = spread * length + (model.grain[0] + model.grain[1] * (steepest - 1)) * step
     placed, residuals = Placed(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (was.shape_innovation, was.pose_innovation)
     now.drift = 0.0
     if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
         usual, cut = residuals, (cut_head, cut_tail)
-        if was.drift > MAX_DRIFT and min(cut) <= -_OWN and max(cut) > 0:  # the prediction may be of other pieces
+        if (
+            was.drift > model.max_drift and min(cut) <= -model.own_tip and max(cut) > 0
+        ):  # the prediction may be of other pieces
             away = (was.drift * length) ** 2
-            usual = max(residuals[0], _BENT * away), max(residuals[1], away)
+            usual = max(residuals[0], model.bent_share * away), max(residuals[1], away)
         placed = place(
             rope, share, found, along, ends, cut, (was.hidden[0], was.hidden[1]), usual, missing, noise, resolution,
-            lapse**2, gap,
+            lapse**2, gap, model,
         )  # fmt: skip
-        beyond = _BY_NOISE * noise / length
+        beyond = model.by_noise * noise / length
         hidden = max(placed.head / length - beyond, 0.0), max(placed.tail / length - beyond, 0.0)
-        long_ago = stale > 0 or lapse**2 > _LONG_AGO
+        long_ago = stale > 0 or lapse**2 > model.long_ago
         bridge = along[gap[1]] - along[gap[0]]
-        strayed = beyond_rest(placed.apart, motion, resolution)
+        strayed = beyond_rest(placed.apart, motion, model.at_rest * resolution)
         shown = (
-            FREE if first == UNKNOWN and hidden[0] <= 0 and cut_head <= -_OWN else first,
-            FREE if second == UNKNOWN and hidden[1] <= 0 and cut_tail <= -_OWN else second,
+            FREE if first == UNKNOWN and hidden[0] <= 0 and cut_head <= -model.own_tip else first,
+            FREE if second == UNKNOWN and hidden[1] <= 0 and cut_tail <= -model.own_tip else second,
         )
-        now.drift = slid(was.drift, rope, shown, hidden, _SLIDES * bridge / length, strayed, long_ago)
-        now.elsewhere = 0.0 if bridge > 0 or was.drift > 0 or lapse**2 > _LONG_AGO else placed.elsewhere
+        now.drift = slid(was.drift, rope, shown, hidden, model.slides * bridge / length, strayed, long_ago)
+        now.elsewhere = 0.0 if bridge > 0 or was.drift > 0 or lapse**2 > model.long_ago else placed.elsewhere
         bent, apart = placed.bent, placed.apart
     else:
         probes = interpolate(found, along, PROBES * along[last])
         bent, apart = disagreement(rope, share, probes, 0.0, 0.0)
-    now.shape_innovation, now.pose_innovation = settled(residuals, bent, apart)
+    now.shape_innovation, now.pose_innovation = settled(residuals, bent, apart, model)
     hidden_length = placed.head + placed.tail
-    if hidden_length <= least and not (missing > _DOUBTFUL * noise and max(cut_head, cut_tail) > 0):
+    if hidden_length <= least and not (missing > model.seems_short * noise and max(cut_head, cut_tail) > 0):
         if familiar:
-            learn_tips(now.tips, shapes, max(TIP_LEARNING, 1 / (was.frames + 1)))
-        learn_length(now, arc[last], size, HIDDEN not in ends, unbroken)
+            learn_tips(now.tips, shapes, max(model.tip_gain, 1 / (was.frames + 1)))
+        learn_length(now, arc[last], size, HIDDEN not in ends, unbroken, model)
     else:
         # A gap may be bridged too straight: then the rope is not shorter than it was.
-        free = first == FREE and second == FREE and unbroken and missing > _BEYOND * noise
-        shorten_length(now, arc[last], size, free)
+        free = first == FREE and second == FREE and unbroken and missing > model.beyond_noise * noise
+        shorten_length(now, arc[last], size, free, model)
     now.hidden[0], now.hidden[1], now.hides = placed.head / length, placed.tail / length, hidden_length > 0
     now.plain = gap[1] == gap[0] and not now.hides
     for end in range(2):
@@ -208,11 +190,11 @@ def _match(
     changed = abs(now.hidden[0] - was.hidden[0]) + abs(now.hidden[1] - was.hidden[1])
     now.innovation = max(changed, (2 if metric else 1) * abs(now.stretch - 1))
     now.measured = was.measured if hidden_length > least else along[last]
-    return evened(metres, arc, length) if metric and hidden_length <= 0 else along
+    return evened(metres, arc, length, model) if metric and hidden_length <= 0 else along
 
 
 @compiled
-def _begin(rope: Any, shapes: Array, width: float) -> None:
+def _begin(rope: Any, shapes: Array, width: float, model: Any) -> None:
     """Forget all but the length of a rope, and remember the tips as they look now."""
     rope.drift = rope.tolerance = rope.measured = rope.elsewhere = rope.between = rope.innovation = 0.0
     rope.stretch = rope.shape_innovation = rope.pose_innovation = 1.0
@@ -221,14 +203,14 @@ def _begin(rope: Any, shapes: Array, width: float) -> None:
         rope.hidden[end] = rope.occlusion[end] = rope.hold[end] = 0.0
         rope.occluded[end] = rope.folded[end] = rope.gap[end] = 0
     if rope.tips_known:
-        remember_tips(rope.tips, shapes, width)
+        remember_tips(rope.tips, shapes, width, model)
 
 
 @compiled
-def _still_hidden(known: int, may_be: bool, credit: float) -> tuple[int, float]:
+def _still_hidden(known: int, may_be: bool, credit: float, model: Any) -> tuple[int, float]:
     """Return what is known about a tip, and for how many frames it is taken for hidden: noise may hide the evidence."""
     if known == HIDDEN:
-        return HIDDEN, _CREDIT
+        return HIDDEN, model.hold
     if known == FREE and may_be and credit > 0:
         return HIDDEN, credit - 1
     return known, 0.0
@@ -237,7 +219,7 @@ def _still_hidden(known: int, may_be: bool, credit: float) -> tuple[int, float]:
 @compiled
 def _runs_back(
     points: Array, stations: Array, metric: bool, ends: Ends, found: Array, nodes: Array, was: Any,
-    expected: Expected, before: Array,
+    expected: Expected, before: Array, model: Any,
 ) -> tuple[bool, bool]:  # fmt: skip
     """Return whether a curve runs against the direction of its rope, and whether that is not clear.
 
@@ -253,26 +235,27 @@ def _runs_back(
         was: What was known of the rope.
         expected: See ``Expected``.
         before: ``(K, D)`` where its nodes were.
+        model: The constants, one ``ChainModel``.
     """
-    if _is_along(found, nodes):
+    if _is_along(found, nodes, model):
         return False, False
     _, resolution, lapse, _, _, seconds, reach, _ = expected
     way = direction(points, before, reach)
     if way != 0:
         return way < 0, False
     rope, share = from_tip_to_tip(nodes)
-    length, floor = was.metres if metric else was.pixels, (NOISE * resolution) ** 2
+    length, floor = was.metres if metric else was.pixels, (model.perfect * resolution) ** 2
     seen = min(stations[-1] / length, 1.0) if length > 0 else 1.0
     usual = max(lapse**2 * was.shape_innovation, floor), max(lapse**2 * was.pose_innovation, floor)
     folded = was.hidden[0] * was.folded[0], was.hidden[1] * was.folded[1]
     probes = interpolate(found, stations, PROBES * stations[-1])
-    off = _unlikely(rope, share, probes, seen, folded, usual)
-    off_back = _unlikely(rope, share, _backwards(probes), seen, folded, usual)
-    uncovered = -2 * math.log(math.tanh(max(_UNCOVERING * seconds, 1e-9)))  # a chain of two states
+    off = _unlikely(rope, share, probes, seen, folded, usual, model)
+    off_back = _unlikely(rope, share, _backwards(probes), seen, folded, usual, model)
+    uncovered = -2 * math.log(math.tanh(max(model.uncovering * seconds, 1e-9)))  # a chain of two states
     for end in range(2):
         off += uncovered * ((was.occluded[end] != 0) != (ends[end] == HIDDEN))
         off_back += uncovered * ((was.occluded[end] != 0) != (ends[1 - end] == HIDDEN))
-    return off_back < off, abs(off - off_back) < _SURE
+    return off_back < off, abs(off - off_back) < model.sure
 
 
 @compiled
@@ -310,10 +293,10 @@ def direction(points: Array, before: Array, reach: float) -> int:
 
 
 @compiled
-def _is_along(points: Array, nodes: Array) -> bool:
+def _is_along(points: Array, nodes: Array, model: Any) -> bool:
     """Return whether a curve clearly runs in the direction of ``(K, D)`` nodes, by the distances of its ends."""
     own, other = _ways(points, nodes)
-    return _CLEAR * own < other
+    return model.clear * own < other
 
 
 @compiled
@@ -332,7 +315,13 @@ def _ways(points: Array, nodes: Array) -> tuple[float, float]:
 
 @compiled
 def _unlikely(
-    points: Array, share: Array, found: Array, size: float, folded: tuple[float, float], usual: tuple[float, float]
+    points: Array,
+    share: Array,
+    found: Array,
+    size: float,
+    folded: tuple[float, float],
+    usual: tuple[float, float],
+    model: Any,
 ) -> float:
     """Return how unlikely a curve is a piece of a rope, the likeliest of seven, in squared standard deviations.
 
@@ -343,6 +332,7 @@ def _unlikely(
         size: Share of the rope that the curve is long.
         folded: Shares at both ends of the rope that were folded back: with them nothing can be compared.
         usual: Mean square distances of curves from their predictions: after a shift, and as they are.
+        model: The constants, one ``ChainModel``.
     """
     probes, least = len(found), np.inf
     at = np.empty(probes)
@@ -357,13 +347,13 @@ def _unlikely(
                 for d in range(len(shift)):
                     shift[d] += expected[n, d] - found[n, d]
                     square += (expected[n, d] - found[n, d]) ** 2
-        cost = _UNSEEN * (1 - known / probes)
+        cost = model.unseen * (1 - known / probes)
         if known > 0:
             for d in range(len(shift)):
                 apart += (shift[d] / known) ** 2
             bent = max(square / known - apart, 0.0)
-            cost += TRUST * math.log1p(INDEPENDENT[0] * bent / usual[0] / TRUST)
-            cost += TRUST * math.log1p(INDEPENDENT[1] * apart / usual[1] / TRUST)
+            cost += model.trust * math.log1p(model.independent[0] * bent / usual[0] / model.trust)
+            cost += model.trust * math.log1p(model.independent[1] * apart / usual[1] / model.trust)
         least = min(least, cost)
     return least
 
@@ -382,7 +372,7 @@ def _widest_gap(arc: Array, flags: Mask) -> tuple[int, int]:
 
 
 @compiled
-def evened(stations: Array, arc: Array, length: float) -> Array:
+def evened(stations: Array, arc: Array, length: float, model: Any) -> Array:
     """Return stations in metres that span a length: what was measured too short or too long is so where it is steep.
 
     Where a rope runs towards the camera, a pixel holds much of it.
@@ -394,7 +384,7 @@ def evened(stations: Array, arc: Array, length: float) -> Array:
         weight[p] = step[p] / max(arc[p + 1] - arc[p], 1e-9)
     usual = np.median(weight)
     for p in range(count):
-        weight[p] = step[p] * (_EVENLY + max((weight[p] / usual) ** 2 - 1, 0.0))
+        weight[p] = step[p] * (model.evenly + max((weight[p] / usual) ** 2 - 1, 0.0))
         whole += weight[p]
     share = (length - stations[-1]) / max(whole, 1e-12)
     for p in range(count):

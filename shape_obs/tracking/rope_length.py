@@ -3,23 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Any
 
 from shape_obs.compiled import compiled
 
-# Of the length: the standard deviation of a measurement in pixels, which is learnt, at least, and in metres, at most.
-_SPREAD: Final = (0.001, 0.012)
-_WIDEST: Final = 0.2
-_BEYOND: Final = 4.0  # standard deviations, beyond which noise explains nothing
-# By which share of a difference a length follows a measurement, and of itself if noise cannot explain the difference.
-_LEARNING: Final = (0.05, 0.001)
-_SHORTER: Final = (1.5, 2.0)  # standard deviations in pixels and in metres, by which a length is learnt to be shorter
-_FORGETTING: Final = 0.05
-_CHANGED: Final = 30  # frames in a row in which a rope with free tips is shorter than it was: it has changed
-
 
 @compiled
-def learn_length(rope: Any, size: float, metres: float, in_sight: bool, unbroken: bool) -> None:
+def learn_length(rope: Any, size: float, metres: float, in_sight: bool, unbroken: bool, model: Any) -> None:
     """Learn a rope's length in a frame in which nothing of it is hidden.
 
     A length follows what is measured as far as noise explains the difference, and hardly beyond that: never because
@@ -31,6 +21,7 @@ def learn_length(rope: Any, size: float, metres: float, in_sight: bool, unbroken
         metres: The same in metres, 0 if it is not known.
         in_sight: Whether nothing is seen to hide an end.
         unbroken: Whether no piece is bridged.
+        model: The constants, one ``ChainModel``.
     """
     whole = in_sight and unbroken
     if rope.frames == 0 and (unbroken or rope.pixels == 0):  # a gap may be bridged by too long a way
@@ -41,21 +32,21 @@ def learn_length(rope: Any, size: float, metres: float, in_sight: bool, unbroken
         return
     change = size / rope.pixels - 1
     # What looks shorter may be hidden in part: only what comes back to its length was seen at an angle, or in noise.
-    rope.pixels_spread = _varied(rope.pixels_spread, max(change, -_SHORTER[0] * rope.pixels_spread), _SPREAD[0])
-    rope.pixels *= 1 + min(max((rope.pixels_spread / 0.04) ** 2, _LEARNING[0]), 1.0) * change
+    rope.pixels_spread = _varied(rope.pixels_spread, max(change, -model.shorter[0] * rope.pixels_spread), model)
+    rope.pixels *= 1 + min(max((rope.pixels_spread / model.followed_spread) ** 2, model.length_gain[0]), 1.0) * change
     rope.frames, rope.short = rope.frames + 1, 0.0
     if metres == 0 or rope.metres == 0:
         rope.metres = metres if metres > 0 else rope.metres
         return
-    off = max(metres / rope.metres - 1, -_SHORTER[1] * rope.metres_spread)
-    gain = max(_LEARNING[0], 1 / rope.frames) if abs(off) < _BEYOND * _SPREAD[1] else 0.0
-    step = gain * off if gain > 0 else min(max(off, -_LEARNING[1]), _LEARNING[1])
-    rope.metres_spread = min(_varied(rope.metres_spread, off, _SPREAD[0]), _SPREAD[1])
+    off = max(metres / rope.metres - 1, -model.shorter[1] * rope.metres_spread)
+    gain = max(model.length_gain[0], 1 / rope.frames) if abs(off) < model.beyond_noise * model.length_spread[1] else 0.0
+    step = gain * off if gain > 0 else min(max(off, -model.length_gain[1]), model.length_gain[1])
+    rope.metres_spread = min(_varied(rope.metres_spread, off, model), model.length_spread[1])
     rope.metres *= 1 + step
 
 
 @compiled
-def shorten_length(rope: Any, size: float, metres: float, free: bool) -> None:
+def shorten_length(rope: Any, size: float, metres: float, free: bool, model: Any) -> None:
     """Learn that a rope became shorter, if both of its tips are free, and nothing is nearer than they are, for long.
 
     Args:
@@ -63,17 +54,18 @@ def shorten_length(rope: Any, size: float, metres: float, free: bool) -> None:
         size: What was seen, pixels.
         metres: The same in metres, 0 if it is not known.
         free: Whether both of its tips are free.
+        model: The constants, one ``ChainModel``.
     """
-    if free and rope.short >= _CHANGED:
+    if free and rope.short >= model.shorter_for:
         rope.pixels, rope.metres, rope.frames, rope.short = size, metres, 1.0, 0.0
         return
     rope.short = rope.short + 1 if free else 0.0
 
 
 @compiled
-def _varied(spread: float, change: float, least: float) -> float:
+def _varied(spread: float, change: float, model: Any) -> float:
     """Return the RMS share by which a length varies, after another change."""
-    now = math.sqrt(spread**2 * (1 - _FORGETTING) + _FORGETTING * change**2)
-    if abs(change) > _BEYOND * spread:
+    now = math.sqrt(spread**2 * (1 - model.spread_gain) + model.spread_gain * change**2)
+    if abs(change) > model.beyond_noise * spread:
         now = max(now, abs(change) / 2)
-    return min(max(now, least), _WIDEST)
+    return min(max(now, model.length_spread[0]), model.widest_spread)

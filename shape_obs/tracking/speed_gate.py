@@ -18,6 +18,7 @@ from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages
 from shape_obs.geometry.observed import Observed
 from shape_obs.image.connected_runs import nearest_pixel
+from shape_obs.tracking.model import MotionModel
 from shape_obs.tracking.predict import Fit, Prediction, Track, extrapolated, predict, rates
 
 Array = npt.NDArray[np.float64]
@@ -69,9 +70,9 @@ class Candidate(NamedTuple):
         """Return the candidate after another frame of its path."""
         return self._replace(track=track, frames=self.frames + 1, refused=self.refused + 1)
 
-    def ahead(self, observed: Observed, now: float) -> Prediction:
+    def ahead(self, observed: Observed, now: float, model: MotionModel) -> Prediction:
         """Return where its motion takes it."""
-        prediction = predict(self.track, observed, now)
+        prediction = predict(self.track, observed, now, model)
         assert prediction is not None
         return prediction
 
@@ -80,7 +81,7 @@ class Candidate(NamedTuple):
         if found.nodes is None or (found.reason and not found.follow):
             return False
         seconds = now - self.track.stamp
-        return not gate.exceeded(found.nodes, self.track, self.ahead(observed, now), seconds, view)
+        return not gate.exceeded(found.nodes, self.track, self.ahead(observed, now, gate.model), seconds, view)
 
     @property
     def believed(self) -> bool:
@@ -107,10 +108,12 @@ class SpeedGate:
 
     Args:
         max_speed: Metres a second with depth and in clouds, image widths a second without; None for no limit.
+        model: How objects move.
     """
 
-    def __init__(self, max_speed: float | None) -> None:
+    def __init__(self, max_speed: float | None, model: MotionModel) -> None:
         self._max_speed = math.inf if max_speed is None else max_speed
+        self.model = model
 
     def exceeded(self, nodes: Array, track: Track, ahead: Prediction, seconds: float, view: View) -> str:
         """Return why nodes ``(K, D)`` are another object's than the one that was tracked; empty if they are not.

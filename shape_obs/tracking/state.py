@@ -7,6 +7,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.tracking.model import ChainModel
+
 State = npt.NDArray[Any]
 
 #: The first of two values is that of the rope's start, the second that of its end.
@@ -52,17 +54,21 @@ RopeState: Final = np.dtype(
 )
 #: What is known of its length.
 LENGTH: Final = ["pixels", "metres", "pixels_spread", "metres_spread", "frames", "short"]
-_SPREAD: Final = (0.003, 0.006)  # of a length in pixels and in metres, before any was measured
 #: What is known of its two ends.
 _ENDS: Final = ["hidden", "occluded", "folded", "occlusion", "hold"]
 
 
-def new_rope(metres: float = 0.0) -> State:
-    """Return the state ``(1,)`` of a new rope, whose length in metres may be known."""
+def new_rope(model: ChainModel, metres: float = 0.0) -> State:
+    """Return the state ``(1,)`` of a new rope.
+
+    Args:
+        model: The constants.
+        metres: Its length; 0 if it is not known.
+    """
     state = np.zeros(1, RopeState)
     state["metres"], state["stretch"] = metres, 1.0
     state["shape_innovation"] = state["pose_innovation"] = 1.0
-    state["pixels_spread"], state["metres_spread"] = _SPREAD
+    state["pixels_spread"], state["metres_spread"] = model.first_spread
     return state
 
 

@@ -21,6 +21,7 @@ from shape_obs.tracking.complete_lattice import Edges, Lens
 from shape_obs.tracking.judge_chain import judge_chain
 from shape_obs.tracking.measure_chain import fit_chain_in_mask
 from shape_obs.tracking.measure_ring import see_outline
+from shape_obs.tracking.model import ChainConstants, Model  # noqa: F401 - the first in a signature
 from shape_obs.tracking.register_chain import Ends, Expected, register_chain
 from shape_obs.tracking.register_ring import follow_outline
 from shape_obs.tracking.state import RopeState, State  # noqa: F401 - the first in a signature
@@ -43,12 +44,12 @@ _FEWEST: Final = 6  # nodes of a visible piece
 
 @compiled(
     "(i8[:,::1], u1[:,::1], UniTuple(i8, 2), UniTuple(i8, 4), " + DEPTH_TYPE + ", f8[::1], f8[:,::1], f8[::1], f8, i8, "
-    "i8, RopeState[::1], UniTuple(f8, 8), f8[:,::1], f8[::1], f8[:,::1], f8, b1)"
+    "i8, RopeState[::1], UniTuple(f8, 8), f8[:,::1], f8[::1], f8[:,::1], f8, b1, ChainConstants[::1])"
 )
 def step_chain_in_mask(
     runs: Indices, mask: Mask, at: tuple[int, int], edge: tuple[int, int, int, int], depth: DepthImages, lens: Array,
     axis: Array, sigmas: Array, pull: float, cell: int, area: int, known: State, expected: Expected, nodes: Array,
-    log_depth: Array, before: Array, off: float, in_metres: bool,
+    log_depth: Array, before: Array, off: float, in_metres: bool, model: Model,
 ) -> Stepped:  # fmt: skip
     """Follow a rope into a mask.
 
@@ -71,6 +72,7 @@ def step_chain_in_mask(
         before: ``(K, 2)`` where the nodes were.
         off: The share of the curve that may be bridged or hidden.
         in_metres: Whether the rope's points lie at equal steps in space.
+        model: ``(1,)`` the constants.
 
     Returns:
         See ``Stepped``.
@@ -79,23 +81,23 @@ def step_chain_in_mask(
     if len(axis) == 0:
         start, deep = visible_nodes(nodes, log_depth if len(lens) > 0 else deep, known)
     curve, arc, flags, metres, deep, spread, ends, shapes = fit_chain_in_mask(
-        runs, mask, at, start, deep, sigmas, pull, cell, expected[0], depth, lens, edge
+        runs, mask, at, start, deep, sigmas, pull, cell, expected[0], depth, lens, edge, model[0]
     )
     spread += min(cell, expected[0]) ** 2 / 12
     return step_measured_chain(
         curve, arc, flags, metres, deep, ends, shapes, spread, 0.0, area, len(start), known, expected, nodes, log_depth,
-        before, off, in_metres,
+        before, off, in_metres, model,
     )  # fmt: skip
 
 
 @compiled(
     "(f8[:,::1], f8[::1], b1[::1], f8[::1], f8[::1], UniTuple(i8, 2), f8[:,::1], f8, f8, i8, i8, RopeState[::1], "
-    "UniTuple(f8, 8), f8[:,::1], f8[::1], f8[:,::1], f8, b1)"
+    "UniTuple(f8, 8), f8[:,::1], f8[::1], f8[:,::1], f8, b1, ChainConstants[::1])"
 )
 def step_measured_chain(
     points: Array, arc: Array, flags: Flags, metres: Array, log_depth: Array, ends: Ends, shapes: Array, spread: float,
     width: float, area: int, count: int, known: State, expected: Expected, nodes: Array, node_log_depth: Array,
-    before: Array, off: float, in_metres: bool,
+    before: Array, off: float, in_metres: bool, model: Model,
 ) -> Stepped:  # fmt: skip
     """Follow a rope to a curve that was fitted in this frame: register, complete and judge it.
 
@@ -118,17 +120,19 @@ def step_measured_chain(
         before: Where they were.
         off: The share that may be bridged or hidden.
         in_metres: Whether points lie at equal steps in space.
+        model: ``(1,)`` the constants.
 
     Returns:
         See ``Stepped``.
     """
     state, points, arc, flags, metres, log_depth = register_chain(
-        points, arc, flags, metres, log_depth, ends, shapes, known, expected, nodes, node_log_depth, before
-    )
+        points, arc, flags, metres, log_depth, ends, shapes, known, expected, nodes, node_log_depth, before,
+        model[0],
+    )  # fmt: skip
     was, now, pixels = known[0], state[0], arc[:0]
     if not now.plain:
         points, arc, flags, metres, pixels, log_depth = complete_chain(
-            points, arc, flags, metres, log_depth, known, state, expected[7], nodes, node_log_depth
+            points, arc, flags, metres, log_depth, known, state, expected[7], nodes, node_log_depth, model[0]
         )
     stations = metres if len(metres) > 0 else pixels if len(pixels) > 0 else arc
     _show(now, stations)
@@ -141,7 +145,7 @@ def step_measured_chain(
     begins = cold or (expected[3] > 0 and max(now.hidden[0], now.hidden[1]) <= now.tolerance)
     judge_chain(
         was, now, points, arc, flags, metres, log_depth, spread, width, expected[0], float(area), off, begins,
-        in_metres and not cold,
+        in_metres and not cold, model[0],
     )  # fmt: skip
     return state, found, deep, points, flags, arc, metres, pixels, log_depth
 

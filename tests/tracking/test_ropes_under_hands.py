@@ -10,6 +10,7 @@ from shape_obs import Centerline, Intrinsics, ShapeDetector
 from shape_obs.bench.scenes import draw_rope
 from shape_obs.geometry.polyline import arc_length, resample
 from shape_obs.tracking.judge_chain import reason_of
+from shape_obs.tracking.model import ChainModel
 from shape_obs.tracking.occluders import FREE, HIDDEN
 from shape_obs.tracking.state import new_rope
 from shape_obs.tracking.step import step_measured_chain
@@ -270,13 +271,14 @@ def test_it_is_in_doubt_which_end_is_missing_where_a_free_end_may_be_folded_back
     """Something hides the first end, but the prediction says that the last is missing: a hairpin may have closed."""
     at = (np.arange(16) + 0.5) / 16 - 0.5
     nodes = 300 * np.stack([at, 0.3 * np.clip(at - 0.2, 0, None)], axis=1) + (320, 240)
-    rope = new_rope()
+    rope = new_rope(ChainModel())
     rope["pixels"], rope["frames"] = 300.0, 10.0
     curve = np.column_stack([np.interp(np.linspace(first, first + 0.7, 64) - 0.5, at, row) for row in nodes.T])
     nothing, expected = np.zeros(0), (8.0, 1.0, 1.0, 0.0, 0.0, np.inf, np.inf, 8.0)
     state, *_ = step_measured_chain(
         curve, arc_length(curve), np.zeros(64, bool), nothing, nothing, (HIDDEN, FREE), np.zeros((0, 2)), 5.0, 0.0,
         1680, 16, rope, expected, nodes, nothing, nodes, 0.75, False,
+        ChainModel().record,
     )  # fmt: skip
     assert state["hidden"][0] == pytest.approx((0.3, 0.0), abs=0.08)
     assert ("in doubt which end" in reason_of(state, "mask")) == in_doubt

@@ -19,10 +19,12 @@ from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.topology import Chain
 from shape_obs.image.roi import Window
 from shape_obs.tracking import search_window
+from shape_obs.tracking.model import MotionModel
 from shape_obs.tracking.predict import Fit, Prediction, Track, advance, predict
 from tests.golden.streams import load_stream, play
 from tests.scenes.beams import swinging_beam, tracked_beam
 
+MODEL = MotionModel()
 NODES = np.stack([np.linspace(10, 90, 9), np.full(9, 50.0)], axis=1)
 
 
@@ -41,15 +43,15 @@ def found(form: FittedCurve, nodes: np.ndarray = NODES, width: float = 8.0) -> F
 
 
 def first(stamp: float = 0.0, **change) -> Track:
-    return advance(None, found(curve()), observation(Window(0, 46, 100, 8)), stamp)._replace(**change)
+    return advance(None, found(curve()), observation(Window(0, 46, 100, 8)), stamp, MODEL)._replace(**change)
 
 
 def after(track: Track, shift: float, stamp: float, width: float = 8.0, box: Window | None = None, **form) -> Track:
-    return advance(track, found(curve(**form), NODES + (0, shift), width), observation(box), stamp)
+    return advance(track, found(curve(**form), NODES + (0, shift), width), observation(box), stamp, MODEL)
 
 
 def predicted(track: Track, stamp: float, **seen: Any) -> Prediction:
-    prediction = predict(track, observation(**seen), stamp)
+    prediction = predict(track, observation(**seen), stamp, MODEL)
     assert prediction is not None
     return prediction
 
