@@ -2,12 +2,11 @@
 
 A record is passed and not read from the module, so that another value needs no compiling::
 
-    class Swung(Centerline, kind="swung"):
-        model = replace(Centerline.model, velocity_share=0.9)
+    Centerline.model = replace(Centerline.model, velocity_share=0.9)
 
-``python -m tests.benchmarks sensitivity`` halves and doubles each of them (docs/benchmarks/sensitivity.md);
-the formulas are in docs/concepts/model.md. Of two values, the first is for images and the second for space, or as their
-line says.
+``python -m tests.benchmarks sensitivity`` halves and doubles each of them (docs/benchmarks/sensitivity.md); the formulas
+are in docs/concepts/model.md. Of two values, the first is for images and the second for space, unless their line
+differs.
 """
 
 from __future__ import annotations
@@ -46,9 +45,9 @@ class MotionModel:
 class ChainModel(MotionModel):
     """A rope.
 
-    The first value of ``slack``, ``tip_reach`` and ``at_border`` is a share of the length or of the width, the second
-    is in resolutions or pixels. Those of ``tip_noise`` and ``any_cut`` are for how full the last square of a rope is, and for
-    the tangent of the angle by which its end is oblique.
+    The first value of ``length_tolerance``, ``tip_reach`` and ``at_border`` is a share of the length or of the width,
+    the second is in resolutions or pixels. Those of ``tip_noise`` and ``any_cut`` are for how full the last square of a
+    rope is, and for the tangent of the angle by which its end is oblique.
     """
 
     # Nodes.
@@ -81,8 +80,8 @@ class ChainModel(MotionModel):
     tip_base: _Pair = (1.0, 2.5)  # widths before a tip, between which the direction of the axis is taken
 
     # Register: what is missing.
-    grain: _Pair = (0.3, 0.9)  # resolutions: noise of a length, and what foreshortening by half adds to it
-    slack: _Pair = (0.01, 1.5)  # of the length and in resolutions: what is missing below this is noise
+    length_noise: _Pair = (0.3, 0.9)  # resolutions: noise of a length, and what foreshortening by half adds to it
+    length_tolerance: _Pair = (0.01, 1.5)  # of the length and in resolutions: what is missing below this is noise
     least_missing: float = 0.002  # of a length in pixels: less cannot be seen to be missing
     pointing: float = 3.0  # times as long in space as in the image: there a tip hides what goes on behind it
     beyond_noise: float = 4.0  # standard deviations of a length, beyond which noise explains nothing

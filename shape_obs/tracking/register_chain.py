@@ -121,8 +121,8 @@ def _match(
         for p in range(last + 1):
             steepest = max(steepest, stretched[p])
     short = (1 - along[last] / length) / model.still_missing
-    first, now.hold[0] = _still_hidden(ends[0], model.slack[0] < was.hidden[0] < short, was.hold[0], model)
-    second, now.hold[1] = _still_hidden(ends[1], model.slack[0] < was.hidden[1] < short, was.hold[1], model)
+    first, now.hold[0] = _still_hidden(ends[0], model.length_tolerance[0] < was.hidden[0] < short, was.hold[0], model)
+    second, now.hold[1] = _still_hidden(ends[1], model.length_tolerance[0] < was.hidden[1] < short, was.hold[1], model)
     ends = first, second
     if HIDDEN in ends:  # that explains what is missing
         first, second = first if first != UNKNOWN else FREE, second if second != UNKNOWN else FREE
@@ -135,13 +135,10 @@ def _match(
     cut_head = min(max(model.fading * was.occlusion[0] + likelier[0], -model.certain), model.certain)
     cut_tail = min(max(model.fading * was.occlusion[1] + likelier[1], -model.certain), model.certain)
     step = resolution * along[last] / max(arc[last], 1e-9)  # in the unit of the stations
-    slack, missing, least = (
-        model.slack[0] * length + model.slack[1] * step,
-        length - along[last],
-        model.least_missing * length,
-    )
+    tolerance, missing = model.length_tolerance[0] * length + model.length_tolerance[1] * step, length - along[last]
+    least = model.least_missing * length
     spread = was.metres_spread if metric or in_space else was.pixels_spread
-    noise = spread * length + (model.grain[0] + model.grain[1] * (steepest - 1)) * step
+    noise = spread * length + (model.length_noise[0] + model.length_noise[1] * (steepest - 1)) * step
     placed, residuals = Placed(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (was.shape_innovation, was.pose_innovation)
     now.drift = 0.0
     if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
@@ -185,7 +182,7 @@ def _match(
     for end in range(2):
         now.occluded[end], now.folded[end] = ends[end] == HIDDEN, ends[end] == FREE
     now.occlusion[0], now.occlusion[1] = cut_head, cut_tail
-    now.gap[0], now.gap[1], now.between, now.tolerance = gap[0], gap[1], placed.between, slack / length
+    now.gap[0], now.gap[1], now.between, now.tolerance = gap[0], gap[1], placed.between, tolerance / length
     now.stretch = (length - hidden_length) / max(along[last] + placed.between * (gap[1] > gap[0]), 1e-9)
     changed = abs(now.hidden[0] - was.hidden[0]) + abs(now.hidden[1] - was.hidden[1])
     now.innovation = max(changed, (2 if metric else 1) * abs(now.stretch - 1))
