@@ -4,7 +4,7 @@ A record is passed and not read from the module, so that another value needs no 
 
     Centerline.model = replace(Centerline.model, velocity_share=0.9)
 
-``python -m tests.benchmarks sensitivity`` halves and doubles each of them (docs/benchmarks/sensitivity.md); the formulas
+``python -m tests.benchmarks sensitivity`` halves and doubles each (docs/benchmarks/sensitivity.md); the formulas
 are in docs/concepts/model.md. Of two values, the first is for images and the second for space, unless their line
 differs.
 """
