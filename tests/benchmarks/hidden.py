@@ -80,16 +80,21 @@ def covered_rope(
     return seen_rope(_measured(frames, rng, size) if noise else frames, depth=depth)
 
 
-def swinging_rope(
+def swinging_frames(
     seed: int, hertz: float, *, wall: bool = True, noise: bool = False, frames: int = 300, size: Size = VGA
-) -> Iterator[Row]:
-    """Track a rope that is swung by one or both ends, a cord or a stiff cable; yield the rows of ``visible_row``."""
+) -> Iterator[Seen]:
+    """Return the frames of a rope that is swung by one or both ends, a cord or a stiff cable."""
     rng, camera = np.random.default_rng([seed, round(hertz)]), camera_of(size)
     stiffness = STIFFNESS[seed // 2 % len(STIFFNESS)]
     curves = list(swung_rope(rng, hertz, frames, hands=1 + seed % 2, stiffness=stiffness))
     radius = float(rng.uniform(0.004, 0.008))
     seen = (see(curve, radius, camera, float(curve[:, 2].max()) + _BEHIND if wall else 0.0) for curve in curves)
-    return seen_rope(_measured(seen, rng, size) if noise else seen, depth=True, spacing="m", dt=1 / hertz)
+    return _measured(seen, rng, size) if noise else seen
+
+
+def swinging_rope(seed: int, hertz: float, **how: Any) -> Iterator[Row]:
+    """Track a rope that is swung, see ``swinging_frames``; yield the rows of ``visible_row``."""
+    return seen_rope(swinging_frames(seed, hertz, **how), depth=True, spacing="m", dt=1 / hertz)
 
 
 def _measured(frames: Iterable[Seen], rng: np.random.Generator, size: Size) -> Iterator[Seen]:

@@ -25,7 +25,7 @@ from tests.benchmarks.tables import Row, as_markdown
 
 MODULES: Final = (
     "ropes", "hidden", "several", "outlines", "sheets", "clouds", "sigma", "clicks", "calibration", "envs",
-    "deployment", "policies", "servo", "speed",
+    "deployment", "policies", "servo", "speed", "sensitivity",
 )  # fmt: skip
 RESULTS: Final = Path(__file__).with_name("results.json")
 
