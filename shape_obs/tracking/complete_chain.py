@@ -18,6 +18,7 @@ from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
 from shape_obs.tracking.placement import widened
 from shape_obs.tracking.register_chain import evened
+from shape_obs.tracking.rope_length import gain_of
 from shape_obs.tracking.state import State
 
 Array = npt.NDArray[np.float64]
@@ -29,7 +30,7 @@ _NONE: Final = 1e-9  # of a length: less is nothing
 @compiled
 def complete_chain(
     points: Array, arc: Array, flags: Mask, metres: Array, log_depth: Array, before: State, known: State, width: float,
-    nodes: Array, node_log_depth: Array, model: Any,
+    seconds: float, nodes: Array, node_log_depth: Array, model: Any,
 ) -> tuple[Array, Array, Mask, Array, Array, Array]:  # fmt: skip
     """Return the whole curve of a rope that is seen in part.
 
@@ -42,6 +43,7 @@ def complete_chain(
         before: ``(1,)`` what was known of the rope before this frame.
         known: ``(1,)`` what is known now, see ``match_to_rope``.
         width: Of the rope, pixels, as it was; 0 in a cloud.
+        seconds: Since the rope was seen.
         nodes: ``(K, D)`` where it is predicted.
         node_log_depth: ``(K,)`` their log-depth; ``(0,)`` without.
         model: The constants, one ``ChainModel``.
@@ -61,10 +63,11 @@ def complete_chain(
     length = was.metres if metric else was.pixels
     head, tail, pixels = now.hidden[0] * length, now.hidden[1] * length, arc[:0]
     gap = int(now.gap[0]), int(now.gap[1])
+    level = gain_of(min(seconds, model.longest_interval), model.levelling)
     if gap[1] > gap[0]:
         scale, drawn = _seen_scale(points, stations, flags), _seen_scale(curve, stations, flags)
         stations = widened(stations, gap, now.between)
-        curve = _filled(curve, stations, gap, drawn, rope, share, head, length, lifted, model)
+        curve = _filled(curve, stations, gap, drawn, rope, share, head, length, lifted, level, model)
         arc = arc_length(first_coordinates(curve, size))
         if metric:
             first, last = gap
@@ -76,7 +79,22 @@ def complete_chain(
         stations[p] = head + scaled * stations[p]
     if head + tail > 0:
         curve, flags, stations, pixels = _with_ends(
-            curve, arc, flags, stations, pixels, rope, share, was, now, length, width, size, metric, lifted, model
+            curve,
+            arc,
+            flags,
+            stations,
+            pixels,
+            rope,
+            share,
+            was,
+            now,
+            length,
+            width,
+            size,
+            metric,
+            lifted,
+            level,
+            model,
         )
         arc = arc_length(first_coordinates(curve, size))
     deep = np.empty(len(curve) if lifted else 0)
@@ -95,7 +113,7 @@ def complete_chain(
 @compiled
 def _with_ends(
     curve: Array, arc: Array, flags: Mask, stations: Array, pixels: Array, rope: Array, share: Array, was: Any,
-    now: Any, length: float, width: float, size: int, metric: bool, lifted: bool, model: Any,
+    now: Any, length: float, width: float, size: int, metric: bool, lifted: bool, level: float, model: Any,
 ) -> tuple[Array, Mask, Array, Array]:  # fmt: skip
     """Return the visible piece with the hidden ends before and behind it.
 
@@ -117,6 +135,7 @@ def _with_ends(
         size: How many of the coordinates are places.
         metric: Whether stations are metres though points are pixels.
         lifted: Whether the last coordinate is log-depth.
+        level: Share by which the log-depth of what is hidden nears that of what is seen next to it.
         model: The constants, one ``ChainModel``.
 
     Returns:
@@ -139,14 +158,24 @@ def _with_ends(
         before = _folded(seen, at - at[0], at[0])
     else:
         before = _hidden_piece(
-            rope, share, was, 0, at[0], seen[:reach], at[:reach], length, lifted, lifted and now.occluded[0] != 0, model
+            rope,
+            share,
+            was,
+            0,
+            at[0],
+            seen[:reach],
+            at[:reach],
+            length,
+            lifted,
+            level * (lifted and now.occluded[0] != 0),
+            model,
         )
     if now.folded[1]:
         behind = _folded(back, from_end, length - at[-1])
     else:
         behind = _hidden_piece(
             rope, share, was, 1, length - at[-1], back[:reach], from_end[:reach], length, lifted,
-            lifted and now.occluded[1] != 0, model,
+            level * (lifted and now.occluded[1] != 0), model,
         )  # fmt: skip
     ahead, past = len(before), len(before) + len(seen)
     count = past + len(behind)
@@ -186,7 +215,7 @@ def _with_ends(
 @compiled
 def _filled(
     curve: Array, stations: Array, gap: tuple[int, int], scale: float, rope: Array, share: Array, head: float,
-    length: float, lifted: bool, model: Any,
+    length: float, lifted: bool, level: float, model: Any,
 ) -> Array:  # fmt: skip
     """Return a curve with a gap that is bent as predicted.
 
@@ -200,6 +229,7 @@ def _filled(
         head: Length that is hidden at its start.
         length: Of the rope.
         lifted: Whether the last coordinate is log-depth.
+        level: Share by which its log-depth nears that of what is seen next to it.
         model: The constants, one ``ChainModel``.
     """
     first, last = gap
@@ -229,7 +259,7 @@ def _filled(
     if lifted:
         for p in range(count + 1):
             line = piece[0, size - 1] + p / count * (piece[count, size - 1] - piece[0, size - 1])
-            out[first + p, size - 1] = piece[p, size - 1] + model.levelling * (line - piece[p, size - 1])
+            out[first + p, size - 1] = piece[p, size - 1] + level * (line - piece[p, size - 1])
     for p in range(count + 1):
         for d in range(size - 1 if lifted else size):
             out[first + p, d] = piece[p, d]
@@ -239,7 +269,7 @@ def _filled(
 @compiled
 def _hidden_piece(
     rope: Array, share: Array, was: Any, end: int, hidden: float, seen: Array, stations: Array, length: float,
-    lifted: bool, level: bool, model: Any,
+    lifted: bool, level: float, model: Any,
 ) -> Array:  # fmt: skip
     """Return a hidden end of the rope from its joint with the visible piece outwards, without the joint.
 
@@ -255,7 +285,7 @@ def _hidden_piece(
         stations: ``(P,)`` of these points.
         length: Of the rope.
         lifted: Whether the last coordinate is log-depth.
-        level: Whether something lies over it: then its depth is not known from where it was predicted.
+        level: Share by which its log-depth nears that of the joint: something over it hides its depth.
         model: The constants, one ``ChainModel``.
     """
     size = seen.shape[1]
@@ -276,8 +306,8 @@ def _hidden_piece(
             joint = piece[0, d]
             for p in range(count):
                 piece[p, d] -= joint
-                if level and d == 2:
-                    piece[p, d] *= 1 - model.levelling
+                if d == 2:
+                    piece[p, d] *= 1 - level
     longer, out = scale * hidden / max(arc_length(piece)[-1], 1e-9), np.empty((count - 1, size))
     for p in range(count - 1):
         for d in range(size):

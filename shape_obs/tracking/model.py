@@ -26,9 +26,11 @@ _Pair = tuple[float, float]
 class MotionModel:
     """How any object moves and changes."""
 
-    velocity_share: float = 0.8  # of the last velocity, with which a shape is expected to go on
+    velocity_memory: float = 2.15  # times as long as a velocity was seen, it fades: what was seen longer lasts longer
+    velocity_smoothing: float = 0.001  # s, over which a velocity is averaged
     max_size_change: float = 0.06  # of the size: a fit that differs by more is compared with one from an initial form
-    max_width_change: float = 0.02  # of the width, in a frame
+    max_width_change: float = 0.6  # of the width in a second
+    longest_interval: float = 0.1  # s: a frame counts for no longer, though none was seen before it
     width_noise: float = 0.03  # of the width: smaller changes are noise
     steady: float = 0.003  # of the area, by which what is seen as a whole changes from frame to frame
 
@@ -49,6 +51,8 @@ class ChainModel(MotionModel):
     the second is in resolutions or pixels. Those of ``tip_noise`` and ``any_cut`` are for how full the last square of a
     rope is, and for the tangent of the angle by which its end is oblique.
     """
+
+    velocity_smoothing: float = 0.02  # s: between two frames at 240 Hz, a rope hardly moves farther than noise
 
     # Nodes.
     node_spacing: float = 1.4  # widths: closer, and a chain starts to fold; farther, and it cuts corners
@@ -88,13 +92,14 @@ class ChainModel(MotionModel):
     seems_short: float = 1.5  # standard deviations by which a rope is too short, and its tips may be cut
     by_noise: float = 1.0  # standard deviations of a length, which may seem hidden
     evenly: float = 0.1  # weight of a piece at a right angle to the view, in a length that is off
-    fading: float = 0.8  # how much of the last frame's evidence for cut tips is kept
+    evidence_memory: float = 0.15  # s: how long evidence for cut tips is kept
+    independent_after: float = 0.033  # s: frames closer in time see the same tips, and count in proportion
     certain: float = 8.0  # nats: the most that such evidence can weigh
     own_tip: float = 6.0  # nats: a tip that is so much likelier the rope's own than cut shows where the rope ends
-    hold: float = 3.0  # frames, for which an end is taken for hidden after something was seen to hide it
+    hold: float = 0.11  # s, for which an end is taken for hidden after something was seen to hide it
     still_missing: float = 0.5  # of what was hidden: an end is only taken for hidden if so much is missing
     slides: float = 0.1  # of a bridged gap: by so much what is behind it may have slid into it
-    long_ago: float = 25.0  # squared intervals of a track, after which a rope may have slid anywhere
+    long_ago: float = 0.18  # s without the rope, after which it may have slid anywhere
     bent_share: float = 0.25  # of the squared distance by which a rope has slid: how far off its form is then
 
     # Register: direction.
@@ -109,11 +114,12 @@ class ChainModel(MotionModel):
     at_rest: float = 0.35  # resolutions: a rope at rest is not farther from its prediction
     trust: float = 5.0  # squared standard deviations, beyond which costs grow slowly: predictions may be far off
     cost_of_hiding: tuple[float, float, float] = (4.0, 1.0, 16.0)  # squared s.d.: an unknown, hidden, free end
-    inertia: tuple[float, float, float] = (0.05, 0.1, 0.05)  # of the length in a frame: change of what is hidden
+    hiding_rate: tuple[float, float, float] = (1.5, 3.0, 1.5)  # of the length in a second, of the same ends
     cost_of_folding: float = 100.0  # squared standard deviations, of a free end while something hides the other
     bridge: float = 0.35  # of a bridged gap: the standard deviation of its length
     too_short: float = 3.0  # standard deviations by which a length may be short, though an end is hidden
-    settling: float = 0.1  # in a frame: how fast the distance of curves from their predictions is learnt
+    first_speed: float = 30.0  # resolutions in a second: by so much predictions are off before any was tested
+    speed_memory: float = 0.32  # s: how fast it is learnt by how much they are
     outlier: float = 10.0  # times the usual squared distance: more is not learnt from at once
 
     # Learn.
@@ -121,17 +127,16 @@ class ChainModel(MotionModel):
     length_spread: _Pair = (0.001, 0.012)  # of the length: its spread in pixels at least, in metres at most
     widest_spread: float = 0.2  # of the length: its largest spread
     followed_spread: float = 0.04  # of a length in pixels: if it varies so much, by perspective, it is followed at once
-    length_gain: _Pair = (0.05, 0.001)  # in a frame: of a difference by noise; of the length beyond that
+    memory: float = 0.65  # s: how fast length, its spread and the look of tips are learnt
+    length_rate: float = 0.03  # of the length in a second, by which it follows what noise does not explain
     shorter: _Pair = (1.5, 2.0)  # standard deviations by which a length is learnt to be shorter
-    spread_gain: float = 0.05  # in a frame: how fast the spread is learnt
-    shorter_for: float = 30.0  # frames in a row in which a rope with free tips is shorter: it has changed
-    tip_gain: float = 0.05  # in a frame: how fast the look of a tip is learnt
+    shorter_for: float = 1.0  # s, for which a rope with free tips is shorter: it has changed
 
     # Complete.
     gap_stretch: float = 1.3  # times: a gap that is so much wider or narrower than predicted stays straight
     long_end: float = 0.06  # of the length: next to a hidden end that is shorter, the visible piece stays as it is
     turn: float = 0.06  # of the length, at most: so much next to what is behind the rope is off by up to 2 gaps of 20
-    levelling: float = 0.1  # in a frame: how fast what is hidden becomes as deep as what is seen next to it
+    levelling: float = 0.32  # s: how fast what is hidden becomes as deep as what is seen next to it
     next_to: float = 0.25  # of the visible piece, next to a hidden end, whose scale that end has
     along_cut: float = 0.6  # widths of the visible piece next to a hidden end, which may follow the cut
 

@@ -18,6 +18,7 @@ from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.rotation import largest_trace
 from shape_obs.tracking.model import ChainConstants  # noqa: F401 - in a signature
 from shape_obs.tracking.occluders import FREE, HIDDEN
+from shape_obs.tracking.rope_length import gain_of
 
 Array = npt.NDArray[np.float64]
 Ends = tuple[int, int]
@@ -25,6 +26,7 @@ Ends = tuple[int, int]
 PROBES: Final = np.linspace(0, 1, 32)  # of a visible piece, at which it is compared with the prediction
 _SHARES: Final = 8  # of what is missing, that may be hidden at an end
 _FINER: Final = 3  # times, that the best share is looked for with steps of half the size
+_TICK: Final = 1e-3  # seconds: stamps that are closer show no speed
 # Steps of what is hidden at the start and at the end; the first two keep their sum.
 _WAYS: Final = np.array([[1.0, -1.0], [-1.0, 1.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 _NEARER: Final = 0.9  # a surprise of -1 has no logarithm
@@ -56,7 +58,7 @@ class Placed(NamedTuple):
 
 @compiled(
     "(f8[:,::1], f8[::1], f8[:,::1], f8[::1], UniTuple(i8, 2), UniTuple(f8, 2), UniTuple(f8, 2), UniTuple(f8, 2), f8, "
-    "f8, f8, f8, UniTuple(i8, 2), ChainConstants)"
+    "f8, f8, UniTuple(i8, 2), ChainConstants)"
 )
 def place(
     rope: Array,
@@ -66,11 +68,10 @@ def place(
     ends: Ends,
     cut: tuple[float, float],
     before: tuple[float, float],
-    residuals: tuple[float, float],
+    usual: tuple[float, float],
     missing: float,
     noise: float,
-    resolution: float,
-    lapse: float,
+    seconds: float,
     gap: tuple[int, int],
     model: Any,
 ) -> Placed:
@@ -86,16 +87,19 @@ def place(
         ends: What is known about its tips.
         cut: How much likelier, as logarithms, they are cut than the rope's own.
         before: Which share of it was hidden at its start and at its end.
-        residuals: Mean square distances of curves from their predictions, see ``disagreement``.
+        usual: Mean square distances of curves from their predictions, see ``disagreement``.
         missing: By how much what is seen is shorter than the rope.
         noise: Standard deviation of the measured length.
-        resolution: Of the observation.
-        lapse: How much farther from its prediction the rope may be than after one interval, squared.
+        seconds: Since the rope was seen.
         gap: The last point before a gap and the first after it; the same without one.
         model: The constants, one ``ChainModel``.
     """
     steps, piece, bridge = _SHARES, missing / _SHARES, stations[gap[1]] - stations[gap[0]]
     length, loose = missing + stations[-1], noise + model.bridge * bridge
+    # How much more of an unknown, a hidden and a free end is hidden than before, or seems so by noise.
+    change = np.empty(3)
+    for known in range(3):
+        change[known] = math.hypot(model.hiding_rate[known] * seconds, noise / length)
     # What is missing is hidden where something hides it.
     least = steps if bridge == 0 and HIDDEN in ends and missing > model.too_short * noise else 0
     bent, apart = np.full((steps + 1, steps + 1), np.inf), np.full((steps + 1, steps + 1), np.inf)
@@ -106,15 +110,16 @@ def place(
         for a in range(hidden + 1):
             first, second = a * piece / length, (hidden - a) * piece / length
             bent[a, hidden - a], apart[a, hidden - a] = disagreement(rope, share, found, first, second)
-    floor, nearest = (model.perfect * resolution) ** 2, (bent.min(), apart.min())
-    usual = max(lapse * residuals[0], floor), max(lapse * residuals[1], floor)
+    nearest = bent.min(), apart.min()
     # The cheapest as what hides an end explains it, and as the prediction and the tips alone do.
     best, likeliest, a, b, other_a, other_b = np.inf, np.inf, 0, 0, 0, 0
     for first in range(steps + 1):
         for second in range(steps + 1 - first):
             if bent[first, second] == np.inf:
                 continue
-            cost, dearer = _cost(first * piece, second * piece, missing, length, loose, ends, cut, before, model)
+            cost, dearer = _cost(
+                first * piece, second * piece, missing, length, loose, ends, cut, before, change, model
+            )
             cost += _surprise(bent[first, second] - nearest[0], apart[first, second] - nearest[1], usual, model)
             if cost + dearer < best:
                 best, a, b = cost + dearer, first, second
@@ -133,7 +138,7 @@ def place(
                 if bridge > 0:
                     found = _probes(points, stations, gap, missing - first - second)
                 now = disagreement(rope, share, found, first / length, second / length)
-                cost, dearer = _cost(first, second, missing, length, loose, ends, cut, before, model)
+                cost, dearer = _cost(first, second, missing, length, loose, ends, cut, before, change, model)
                 cost += dearer + _surprise(now[0] - nearest[0], now[1] - nearest[1], usual, model)
                 if cost < best:
                     best, head, tail, off = cost, first, second, now
@@ -166,6 +171,7 @@ def _cost(
     ends: Ends,
     cut: tuple[float, float],
     before: tuple[float, float],
+    likely: Array,
     model: Any,
 ) -> tuple[float, float]:
     """Return what it costs to take lengths at both ends for hidden, and how much more if one end is free.
@@ -178,7 +184,7 @@ def _cost(
     for end in range(2):
         share, known = (tail if end else head) / length, ends[end]
         was = 0.0 if known == FREE else before[end]
-        change = model.trust * math.log1p(((share - was) / model.inertia[known]) ** 2 / model.trust)
+        change = model.trust * math.log1p(((share - was) / likely[known]) ** 2 / model.trust)
         if share > 0:
             price = model.cost_of_hiding[known] if was <= 0 else 0.0
             price += 0.0 if HIDDEN in ends else 2 * (max(cut) - cut[end])
@@ -194,13 +200,19 @@ def _cost(
 
 
 @compiled
-def settled(residuals: tuple[float, float], bent: float, apart: float, model: Any) -> tuple[float, float]:
-    """Return how far curves usually lie from their predictions: mean square distances, after another frame."""
-    now_bent, now_apart = min(bent, model.outlier * residuals[0]), min(apart, model.outlier * residuals[1])
-    return (
-        residuals[0] + model.settling * (now_bent - residuals[0]),
-        residuals[1] + model.settling * (now_apart - residuals[1]),
-    )
+def settled(speed: float, off: float, usual: float, noise: float, seconds: float, model: Any) -> float:
+    """Return the mean square of how fast curves leave their predictions, after another frame, (U/s)^2.
+
+    Args:
+        speed: The same before.
+        off: Mean square distance of the curve from its prediction.
+        usual: The same as it was expected.
+        noise: The same of a perfect prediction.
+        seconds: Since the rope was seen.
+        model: The constants, one ``ChainModel``.
+    """
+    beyond = max(min(off, model.outlier * usual) - noise, 0.0) / max(seconds, _TICK) ** 2
+    return speed + gain_of(min(seconds, model.longest_interval), model.speed_memory) * (beyond - speed)
 
 
 @compiled

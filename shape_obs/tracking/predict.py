@@ -151,16 +151,17 @@ def predict(
     stale: bool = False,
     reach: float = math.inf,
 ) -> Prediction | None:
-    """Predict the nodes at ``stamp``: the last place plus most of the last step; None without a track.
+    """Predict the nodes at ``stamp``: they go on with a velocity that fades; None without a track.
 
-    Nothing is extrapolated farther than the last interval, so a shape that was lost is searched near its last place.
+    The velocity fades, so that a shape that was lost is searched near its last place.
     ``stale`` and ``reach`` are those of the prediction.
     """
     if track is None:
         return None
     since, relief, climb = stamp - track.stamp, track.relief, track.climb
     rising = (_NOTHING, _NOTHING) if relief is None or climb is None else (relief, climb)
-    ahead = model.velocity_share * min(max(since, 0.0), track.interval)
+    memory = model.velocity_memory * max(track.interval, model.velocity_smoothing)
+    ahead = memory * -math.expm1(-max(since, 0.0) / memory)
     nodes, deep, motion = extrapolated(track.nodes, track.velocity, *rising, ahead)
     steady = abs(observed.area - track.area) <= model.steady * track.area
     known = track.size, track.topology, track.hints, observed.resolution, track.width
@@ -180,12 +181,17 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float, m
     assert nodes is not None
     assert topology is not None
     if track is not None and track.width and width:
-        width = track.width * (1 + _believed(width / track.width - 1, model))
+        width = track.width * (1 + _believed(width / track.width - 1, stamp - track.stamp, model))
     interval = 0.0 if track is None else stamp - track.stamp
     if track is not None and interval > _LEAST_INTERVAL:
         relief = (_NOTHING, _NOTHING) if found.relief is None or track.relief is None else (found.relief, track.relief)
-        turning = 1.0 if form.hints.turning is None else form.hints.turning / model.velocity_share
-        velocity, changed = rates(nodes, track.nodes, *relief, interval, turning)
+        memory = model.velocity_memory * max(interval, model.velocity_smoothing)
+        kept = -math.expm1(-interval / memory) * memory / interval
+        turning = 1.0 if form.hints.turning is None else form.hints.turning / kept
+        gain = 1.0 if track.interval == 0 else -math.expm1(-interval / model.velocity_smoothing)
+        known = math.exp(-interval / memory)
+        rising = _NOTHING if track.climb is None else track.climb
+        velocity, changed = rates(nodes, track.nodes, *relief, track.velocity, rising, interval, turning, gain, known)
         climb = changed if len(changed) else None
     else:
         velocity = np.zeros_like(nodes)
@@ -212,10 +218,11 @@ def extrapolated(
     return moved, deep, math.sqrt(square / len(nodes))
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, f8)")
+@compiled("(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8[:,::1], f8[::1], f8, f8, f8, f8)")
 def rates(
-    nodes: Array, before: Array, relief: Array, relief_before: Array, seconds: float, turning: float
-) -> tuple[Array, Array]:
+    nodes: Array, before: Array, relief: Array, relief_before: Array, was: Array, rising: Array, seconds: float,
+    turning: float, gain: float, kept: float,
+) -> tuple[Array, Array]:  # fmt: skip
     """Return how fast nodes ``(K, D)`` and their relief ``(K,)`` or ``(0,)`` have changed, units a second.
 
     Of their common motion along a closed curve the share ``turning`` is believed.
@@ -223,17 +230,19 @@ def rates(
     velocity, climb = np.empty_like(nodes), np.empty_like(relief)
     for k in range(len(nodes)):
         for d in range(nodes.shape[1]):
-            velocity[k, d] = (nodes[k, d] - before[k, d]) / seconds
+            velocity[k, d] = (1 - gain) * kept * was[k, d] + gain * (nodes[k, d] - before[k, d]) / seconds
     for k in range(len(relief)):
-        climb[k] = (relief[k] - relief_before[k]) / seconds
+        last = kept * rising[k] if len(rising) > 0 else (relief[k] - relief_before[k]) / seconds
+        climb[k] = (1 - gain) * last + gain * (relief[k] - relief_before[k]) / seconds
     return (velocity if turning == 1 else with_turning(nodes, velocity, turning)), climb
 
 
-def _believed(change: float, model: MotionModel) -> float:
-    """Return the part of a width's relative change that is not noise, limited per frame."""
+def _believed(change: float, seconds: float, model: MotionModel) -> float:
+    """Return the part of a width's relative change that is not noise, limited by the time that has passed."""
     if abs(change) <= model.width_noise:
         return 0.0
-    return max(-model.max_width_change, min(change, model.max_width_change))
+    most = model.max_width_change * min(max(seconds, 0.0), model.longest_interval)
+    return max(-most, min(change, most))
 
 
 def _drift(before: Window, after: Window) -> int:

@@ -33,16 +33,16 @@ from shape_obs.tracking.placement import (
     settled,
     slid,
 )
-from shape_obs.tracking.rope_length import learn_length, shorten_length
+from shape_obs.tracking.rope_length import gain_of, learn_length, shorten_length
 from shape_obs.tracking.state import State
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Ends = tuple[int, int]
-#: Of a rope: its width in pixels, the resolution of the observation, the intervals since it was seen, 1 if it was lost
-#: for long, how far its nodes are expected to have moved, RMS, the seconds since it was seen, how far they can have
-#: moved since then, and its width as it was, pixels.
-Expected = tuple[float, float, float, float, float, float, float, float]
+#: Of a rope: its width in pixels, the resolution of the observation, 1 if it was lost for long, how far its nodes are
+#: expected to have moved, RMS, the seconds since it was seen, how far they can have moved since then, and its width as
+#: it was, pixels.
+Expected = tuple[float, float, float, float, float, float, float]
 
 _PLACES: Final = 7  # along the rope, at which a piece is compared with it to find its direction
 
@@ -105,13 +105,14 @@ def _match(
     """
     last, metric, in_space = len(arc) - 1, len(metres) > 0, points.shape[1] == 3
     along, size = metres if metric else arc, metres[-1] if metric else 0.0
-    width, resolution, lapse, stale, motion, _, _, _ = expected
+    width, resolution, stale, motion, seconds, _, _ = expected
+    lasted = min(seconds, model.longest_interval)  # for which this frame counts
     now.elsewhere, now.plain = 0.0, False
     gap = _widest_gap(arc, flags)
     unbroken, length = not flags.any(), was.metres if metric else was.pixels
     if len(predicted) == 0 or length <= 0:
-        _begin(now, shapes, width, model)
-        learn_length(now, arc[last], size, HIDDEN not in ends, unbroken, model)
+        _begin(now, shapes, width, resolution, model)
+        learn_length(now, arc[last], size, HIDDEN not in ends, unbroken, lasted, model)
         return along
     rope, share = from_tip_to_tip(predicted)
     steep, steepest = np.ones(2), 1.0
@@ -121,8 +122,12 @@ def _match(
         for p in range(last + 1):
             steepest = max(steepest, stretched[p])
     short = (1 - along[last] / length) / model.still_missing
-    first, now.hold[0] = _still_hidden(ends[0], model.length_tolerance[0] < was.hidden[0] < short, was.hold[0], model)
-    second, now.hold[1] = _still_hidden(ends[1], model.length_tolerance[0] < was.hidden[1] < short, was.hold[1], model)
+    first, now.hold[0] = _still_hidden(
+        ends[0], model.length_tolerance[0] < was.hidden[0] < short, was.hold[0] - seconds, model
+    )
+    second, now.hold[1] = _still_hidden(
+        ends[1], model.length_tolerance[0] < was.hidden[1] < short, was.hold[1] - seconds, model
+    )
     ends = first, second
     if HIDDEN in ends:  # that explains what is missing
         first, second = first if first != UNKNOWN else FREE, second if second != UNKNOWN else FREE
@@ -132,29 +137,30 @@ def _match(
     ends = first, second
     familiar = was.tips_known and len(shapes) > 0
     likelier = likelier_cut(shapes, was.tips, width, model) if familiar else (0.0, 0.0)
-    cut_head = min(max(model.fading * was.occlusion[0] + likelier[0], -model.certain), model.certain)
-    cut_tail = min(max(model.fading * was.occlusion[1] + likelier[1], -model.certain), model.certain)
+    kept, counts = math.exp(-seconds / model.evidence_memory), min(seconds / model.independent_after, 1.0)
+    cut_head = min(max(kept * was.occlusion[0] + counts * likelier[0], -model.certain), model.certain)
+    cut_tail = min(max(kept * was.occlusion[1] + counts * likelier[1], -model.certain), model.certain)
     step = resolution * along[last] / max(arc[last], 1e-9)  # in the unit of the stations
     tolerance, missing = model.length_tolerance[0] * length + model.length_tolerance[1] * step, length - along[last]
     least = model.least_missing * length
     spread = was.metres_spread if metric or in_space else was.pixels_spread
     noise = spread * length + (model.length_noise[0] + model.length_noise[1] * (steepest - 1)) * step
-    placed, residuals = Placed(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (was.shape_innovation, was.pose_innovation)
+    placed, usual = Placed(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), usual_distance(was, seconds, resolution, model)
     now.drift = 0.0
     if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
-        usual, cut = residuals, (cut_head, cut_tail)
+        cut, loosened = (cut_head, cut_tail), usual
         if (
             was.drift > model.max_drift and min(cut) <= -model.own_tip and max(cut) > 0
         ):  # the prediction may be of other pieces
             away = (was.drift * length) ** 2
-            usual = max(residuals[0], model.bent_share * away), max(residuals[1], away)
+            loosened = max(usual[0], model.bent_share * away), max(usual[1], away)
         placed = place(
-            rope, share, found, along, ends, cut, (was.hidden[0], was.hidden[1]), usual, missing, noise, resolution,
-            lapse**2, gap, model,
+            rope, share, found, along, ends, cut, (was.hidden[0], was.hidden[1]), loosened, missing, noise,
+            seconds, gap, model,
         )  # fmt: skip
         beyond = model.by_noise * noise / length
         hidden = max(placed.head / length - beyond, 0.0), max(placed.tail / length - beyond, 0.0)
-        long_ago = stale > 0 or lapse**2 > model.long_ago
+        long_ago = stale > 0 or seconds > model.long_ago
         bridge = along[gap[1]] - along[gap[0]]
         strayed = beyond_rest(placed.apart, motion, model.at_rest * resolution)
         shown = (
@@ -162,21 +168,23 @@ def _match(
             FREE if second == UNKNOWN and hidden[1] <= 0 and cut_tail <= -model.own_tip else second,
         )
         now.drift = slid(was.drift, rope, shown, hidden, model.slides * bridge / length, strayed, long_ago)
-        now.elsewhere = 0.0 if bridge > 0 or was.drift > 0 or lapse**2 > model.long_ago else placed.elsewhere
+        now.elsewhere = 0.0 if bridge > 0 or was.drift > 0 or seconds > model.long_ago else placed.elsewhere
         bent, apart = placed.bent, placed.apart
     else:
         probes = interpolate(found, along, PROBES * along[last])
         bent, apart = disagreement(rope, share, probes, 0.0, 0.0)
-    now.shape_innovation, now.pose_innovation = settled(residuals, bent, apart, model)
+    noise_only = (model.perfect * resolution) ** 2
+    now.shape_speed = settled(was.shape_speed, bent, usual[0], noise_only, seconds, model)
+    now.pose_speed = settled(was.pose_speed, apart, usual[1], noise_only, seconds, model)
     hidden_length = placed.head + placed.tail
     if hidden_length <= least and not (missing > model.seems_short * noise and max(cut_head, cut_tail) > 0):
         if familiar:
-            learn_tips(now.tips, shapes, max(model.tip_gain, 1 / (was.frames + 1)))
-        learn_length(now, arc[last], size, HIDDEN not in ends, unbroken, model)
+            learn_tips(now.tips, shapes, max(gain_of(lasted, model.memory), 1 / (was.frames + 1)))
+        learn_length(now, arc[last], size, HIDDEN not in ends, unbroken, lasted, model)
     else:
         # A gap may be bridged too straight: then the rope is not shorter than it was.
         free = first == FREE and second == FREE and unbroken and missing > model.beyond_noise * noise
-        shorten_length(now, arc[last], size, free, model)
+        shorten_length(now, arc[last], size, free, lasted, model)
     now.hidden[0], now.hidden[1], now.hides = placed.head / length, placed.tail / length, hidden_length > 0
     now.plain = gap[1] == gap[0] and not now.hides
     for end in range(2):
@@ -191,10 +199,28 @@ def _match(
 
 
 @compiled
-def _begin(rope: Any, shapes: Array, width: float, model: Any) -> None:
+def usual_distance(rope: Any, seconds: float, resolution: float, model: Any) -> tuple[float, float]:
+    """Return the mean square distance at which a rope is usually found from where it is predicted.
+
+    Args:
+        rope: What is known of it.
+        seconds: Since it was seen.
+        resolution: Of the observation.
+        model: The constants, one ``ChainModel``.
+
+    Returns:
+        After the best rigid motion; as it is.
+    """
+    noise = (model.perfect * resolution) ** 2
+    return noise + rope.shape_speed * seconds**2, noise + rope.pose_speed * seconds**2
+
+
+@compiled
+def _begin(rope: Any, shapes: Array, width: float, resolution: float, model: Any) -> None:
     """Forget all but the length of a rope, and remember the tips as they look now."""
     rope.drift = rope.tolerance = rope.measured = rope.elsewhere = rope.between = rope.innovation = 0.0
-    rope.stretch = rope.shape_innovation = rope.pose_innovation = 1.0
+    rope.shape_speed = rope.pose_speed = (model.first_speed * resolution) ** 2
+    rope.stretch = 1.0
     rope.tips_known, rope.hides, rope.plain = len(shapes) > 0, False, True
     for end in range(2):
         rope.hidden[end] = rope.occlusion[end] = rope.hold[end] = 0.0
@@ -204,12 +230,12 @@ def _begin(rope: Any, shapes: Array, width: float, model: Any) -> None:
 
 
 @compiled
-def _still_hidden(known: int, may_be: bool, credit: float, model: Any) -> tuple[int, float]:
-    """Return what is known about a tip, and for how many frames it is taken for hidden: noise may hide the evidence."""
+def _still_hidden(known: int, may_be: bool, left: float, model: Any) -> tuple[int, float]:
+    """Return what is known about a tip, and for how many seconds it is hidden: noise may hide the evidence."""
     if known == HIDDEN:
         return HIDDEN, model.hold
-    if known == FREE and may_be and credit > 0:
-        return HIDDEN, credit - 1
+    if known == FREE and may_be and left > 0:
+        return HIDDEN, left
     return known, 0.0
 
 
@@ -236,14 +262,13 @@ def _runs_back(
     """
     if _is_along(found, nodes, model):
         return False, False
-    _, resolution, lapse, _, _, seconds, reach, _ = expected
+    _, resolution, _, _, seconds, reach, _ = expected
     way = direction(points, before, reach)
     if way != 0:
         return way < 0, False
     rope, share = from_tip_to_tip(nodes)
-    length, floor = was.metres if metric else was.pixels, (model.perfect * resolution) ** 2
+    length, usual = was.metres if metric else was.pixels, usual_distance(was, seconds, resolution, model)
     seen = min(stations[-1] / length, 1.0) if length > 0 else 1.0
-    usual = max(lapse**2 * was.shape_innovation, floor), max(lapse**2 * was.pose_innovation, floor)
     folded = was.hidden[0] * was.folded[0], was.hidden[1] * was.folded[1]
     probes = interpolate(found, stations, PROBES * stations[-1])
     off = _unlikely(rope, share, probes, seen, folded, usual, model)

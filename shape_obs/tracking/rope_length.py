@@ -9,7 +9,15 @@ from shape_obs.compiled import compiled
 
 
 @compiled
-def learn_length(rope: Any, size: float, metres: float, in_sight: bool, unbroken: bool, model: Any) -> None:
+def gain_of(seconds: float, memory: float) -> float:
+    """Return the weight of a new value in a mean that fades with a time constant, after some seconds."""
+    return 1 - math.exp(-seconds / memory)
+
+
+@compiled
+def learn_length(
+    rope: Any, size: float, metres: float, in_sight: bool, unbroken: bool, seconds: float, model: Any
+) -> None:
     """Learn a rope's length in a frame in which nothing of it is hidden.
 
     A length follows what is measured as far as noise explains the difference, and hardly beyond that: never because
@@ -21,6 +29,7 @@ def learn_length(rope: Any, size: float, metres: float, in_sight: bool, unbroken
         metres: The same in metres, 0 if it is not known.
         in_sight: Whether nothing is seen to hide an end.
         unbroken: Whether no piece is bridged.
+        seconds: For which this frame counts.
         model: The constants, one ``ChainModel``.
     """
     whole = in_sight and unbroken
@@ -30,23 +39,24 @@ def learn_length(rope: Any, size: float, metres: float, in_sight: bool, unbroken
         return
     if not whole:
         return
-    change = size / rope.pixels - 1
+    change, gain = size / rope.pixels - 1, gain_of(seconds, model.memory)
     # What looks shorter may be hidden in part: only what comes back to its length was seen at an angle, or in noise.
-    rope.pixels_spread = _varied(rope.pixels_spread, max(change, -model.shorter[0] * rope.pixels_spread), model)
-    rope.pixels *= 1 + min(max((rope.pixels_spread / model.followed_spread) ** 2, model.length_gain[0]), 1.0) * change
+    rope.pixels_spread = _varied(rope.pixels_spread, max(change, -model.shorter[0] * rope.pixels_spread), gain, model)
+    rope.pixels *= 1 + min(max((rope.pixels_spread / model.followed_spread) ** 2, gain), 1.0) * change
     rope.frames, rope.short = rope.frames + 1, 0.0
     if metres == 0 or rope.metres == 0:
         rope.metres = metres if metres > 0 else rope.metres
         return
     off = max(metres / rope.metres - 1, -model.shorter[1] * rope.metres_spread)
-    gain = max(model.length_gain[0], 1 / rope.frames) if abs(off) < model.beyond_noise * model.length_spread[1] else 0.0
-    step = gain * off if gain > 0 else min(max(off, -model.length_gain[1]), model.length_gain[1])
-    rope.metres_spread = min(_varied(rope.metres_spread, off, model), model.length_spread[1])
+    most = model.length_rate * seconds
+    explained = abs(off) < model.beyond_noise * model.length_spread[1]
+    step = max(gain, 1 / rope.frames) * off if explained else min(max(off, -most), most)
+    rope.metres_spread = min(_varied(rope.metres_spread, off, gain, model), model.length_spread[1])
     rope.metres *= 1 + step
 
 
 @compiled
-def shorten_length(rope: Any, size: float, metres: float, free: bool, model: Any) -> None:
+def shorten_length(rope: Any, size: float, metres: float, free: bool, seconds: float, model: Any) -> None:
     """Learn that a rope became shorter, if both of its tips are free, and nothing is nearer than they are, for long.
 
     Args:
@@ -54,18 +64,19 @@ def shorten_length(rope: Any, size: float, metres: float, free: bool, model: Any
         size: What was seen, pixels.
         metres: The same in metres, 0 if it is not known.
         free: Whether both of its tips are free.
+        seconds: For which this frame counts.
         model: The constants, one ``ChainModel``.
     """
     if free and rope.short >= model.shorter_for:
         rope.pixels, rope.metres, rope.frames, rope.short = size, metres, 1.0, 0.0
         return
-    rope.short = rope.short + 1 if free else 0.0
+    rope.short = rope.short + seconds if free else 0.0
 
 
 @compiled
-def _varied(spread: float, change: float, model: Any) -> float:
+def _varied(spread: float, change: float, gain: float, model: Any) -> float:
     """Return the RMS share by which a length varies, after another change."""
-    now = math.sqrt(spread**2 * (1 - model.spread_gain) + model.spread_gain * change**2)
+    now = math.sqrt(spread**2 * (1 - gain) + gain * change**2)
     if abs(change) > model.beyond_noise * spread:
         now = max(now, abs(change) / 2)
     return min(max(now, model.length_spread[0]), model.widest_spread)

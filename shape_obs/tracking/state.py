@@ -18,13 +18,13 @@ RopeState: Final = np.dtype(
         ("occluded", "u1", 2),  # 1 if something is seen to hide the end
         ("folded", "u1", 2),  # 1 if the end is free, so that what is missing there was laid back onto the curve
         ("occlusion", "f8", 2),  # log-odds that the visible tip is cut by what hides the rest, and not the rope's own
-        ("hold", "f8", 2),  # frames for which the end is taken for hidden though nothing is seen to hide it
+        ("hold", "f8", 2),  # seconds for which the end is taken for hidden though nothing is seen to hide it
         ("drift", "f8"),  # share of its length by which it may have slid along itself while no end was seen
         ("tolerance", "f8"),  # share of its length: hidden ends with less are within the measuring error
         ("stretch", "f8"),  # how much more of it there is than was measured where it is visible
         ("measured", "f8"),  # its length when all of it was seen last, pixels or metres; 0 if it is not known
-        ("shape_innovation", "f8"),  # mean square distance from its prediction after the best rigid motion, px^2, m^2
-        ("pose_innovation", "f8"),  # the same as it is
+        ("shape_speed", "f8"),  # mean square of how fast its form leaves its prediction, beyond noise, (U/s)^2
+        ("pose_speed", "f8"),  # the same of its points, in which place and form enter
         ("tips", "f8", (2, 2, 2)),  # mean and variance of what its own tips look like, by tip, see ``tip_shape``
         ("tips_known", "?"),  # whether they were seen
         ("pixels", "f8"),  # its length in the image; 0 if it is not known
@@ -32,7 +32,7 @@ RopeState: Final = np.dtype(
         ("pixels_spread", "f8"),  # share by which the length in pixels has varied, RMS: perspective and noise
         ("metres_spread", "f8"),  # the same of the length in metres: noise and oblique views
         ("frames", "f8"),  # in how many all of it was seen
-        ("short", "f8"),  # frames in a row in which it was shorter than noise explains, though nothing hid it
+        ("short", "f8"),  # seconds for which it was shorter than noise explains, though nothing hid it
         # What the last frame showed, besides the above.
         ("hides", "?"),  # whether an end is out of sight
         ("plain", "?"),  # whether no end is out of sight and no piece is bridged
@@ -67,7 +67,6 @@ def new_rope(model: ChainModel, metres: float = 0.0) -> State:
     """
     state = np.zeros(1, RopeState)
     state["metres"], state["stretch"] = metres, 1.0
-    state["shape_innovation"] = state["pose_innovation"] = 1.0
     state["pixels_spread"], state["metres_spread"] = model.first_spread
     return state
 

@@ -44,7 +44,7 @@ _FEWEST: Final = 6  # nodes of a visible piece
 
 @compiled(
     "(i8[:,::1], u1[:,::1], UniTuple(i8, 2), UniTuple(i8, 4), " + DEPTH_TYPE + ", f8[::1], f8[:,::1], f8[::1], f8, i8, "
-    "i8, RopeState[::1], UniTuple(f8, 8), f8[:,::1], f8[::1], f8[:,::1], f8, b1, ChainConstants[::1])"
+    "i8, RopeState[::1], UniTuple(f8, 7), f8[:,::1], f8[::1], f8[:,::1], f8, b1, ChainConstants[::1])"
 )
 def step_chain_in_mask(
     runs: Indices, mask: Mask, at: tuple[int, int], edge: tuple[int, int, int, int], depth: DepthImages, lens: Array,
@@ -92,7 +92,7 @@ def step_chain_in_mask(
 
 @compiled(
     "(f8[:,::1], f8[::1], b1[::1], f8[::1], f8[::1], UniTuple(i8, 2), f8[:,::1], f8, f8, i8, i8, RopeState[::1], "
-    "UniTuple(f8, 8), f8[:,::1], f8[::1], f8[:,::1], f8, b1, ChainConstants[::1])"
+    "UniTuple(f8, 7), f8[:,::1], f8[::1], f8[:,::1], f8, b1, ChainConstants[::1])"
 )
 def step_measured_chain(
     points: Array, arc: Array, flags: Flags, metres: Array, log_depth: Array, ends: Ends, shapes: Array, spread: float,
@@ -132,7 +132,18 @@ def step_measured_chain(
     was, now, pixels = known[0], state[0], arc[:0]
     if not now.plain:
         points, arc, flags, metres, pixels, log_depth = complete_chain(
-            points, arc, flags, metres, log_depth, known, state, expected[7], nodes, node_log_depth, model[0]
+            points,
+            arc,
+            flags,
+            metres,
+            log_depth,
+            known,
+            state,
+            expected[6],
+            expected[4],
+            nodes,
+            node_log_depth,
+            model[0],
         )
     stations = metres if len(metres) > 0 else pixels if len(pixels) > 0 else arc
     _show(now, stations)
@@ -142,7 +153,7 @@ def step_measured_chain(
         deep = even_points(log_depth.reshape(-1, 1), stations, len(found), True).reshape(len(found))
         now.steep = arc_length(with_relief(points, log_depth))[-1] / max(arc[-1], 1e-9)
     cold = len(nodes) == 0
-    begins = cold or (expected[3] > 0 and max(now.hidden[0], now.hidden[1]) <= now.tolerance)
+    begins = cold or (expected[2] > 0 and max(now.hidden[0], now.hidden[1]) <= now.tolerance)
     judge_chain(
         was, now, points, arc, flags, metres, log_depth, spread, width, expected[0], float(area), off, begins,
         in_metres and not cold, model[0],
