@@ -119,7 +119,7 @@ def judge_chain(
     if len(metres) == 0:
         lost = needs_metres and was.metres > 0 and area > 0
         return _refuse(now, _UNMEASURED if lost else 0, 0.0, 0.0)
-    if stretch > 1 + max(model.short_tolerances * now.tolerance, model.short_spreads * now.metres_spread):
+    if stretch > 1 + model.short_tolerances * now.tolerance:
         return _refuse(now, _SHORTER, 1 - 1 / stretch, 0.0)
     one_end, steep, steepest = now.occluded[0] != now.occluded[1], (1.0, 1.0), 1.0
     cut = max(now.occlusion[0], now.occlusion[1]) > 0
@@ -129,8 +129,7 @@ def judge_chain(
     if one_end:
         free = 0 if now.occluded[1] else 1
         most = model.oblique_cut if now.occlusion[free] > now.occlusion[1 - free] else model.most_oblique
-        oblique = max(steep[free], model.elsewhere * steepest)
-        return _refuse(now, _OBLIQUE if oblique > most else 0, oblique, most)
+        return _refuse(now, _OBLIQUE if steep[free] > most else 0, steep[free], most)
     hides, short = now.occluded[0] != 0, now.hidden[0] + now.hidden[1]
     if not hides and short > model.most_missing and not now.folded[0] and not now.folded[1]:
         return _refuse(now, _POINTING, short, 0.0)

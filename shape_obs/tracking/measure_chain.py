@@ -103,7 +103,7 @@ def fit_chain_in_mask(
             for p in range(len(curve)):
                 deep[p] = focal * math.log(z[p])
     ends, shapes = chain_evidence(curve, arc, z, width, depth, mask, at, edge, model)
-    if len(deep) > 0 and arc[-1] >= model.with_direction * width:
+    if len(deep) > 0:
         head, tail = rims_of(curve, arc, deep, width)
         head, tail = 0.0 if ends[0] == HIDDEN else head, 0.0 if ends[1] == HIDDEN else tail
         if max(head, tail) > model.least_overhang:

@@ -26,8 +26,7 @@ _Pair = tuple[float, float]
 class MotionModel:
     """How any object moves and changes."""
 
-    velocity_memory: float = 2.15  # times as long as a velocity was seen, it fades: what was seen longer lasts longer
-    velocity_smoothing: float = 0.001  # s, over which a velocity is averaged
+    velocity_share: float = 0.8  # of a velocity between two frames, with which a shape goes on for as long
     max_size_change: float = 0.06  # of the size: a fit that differs by more is compared with one from an initial form
     max_width_change: float = 0.6  # of the width in a second
     longest_interval: float = 0.1  # s: a frame counts for no longer, though none was seen before it
@@ -52,8 +51,6 @@ class ChainModel(MotionModel):
     rope is, and for the tangent of the angle by which its end is oblique.
     """
 
-    velocity_smoothing: float = 0.02  # s: between two frames at 240 Hz, a rope hardly moves farther than noise
-
     # Nodes.
     node_spacing: float = 1.4  # widths: closer, and a chain starts to fold; farther, and it cuts corners
     thinnest: float = 3.0  # pixels: nodes as near as a thinner rope is wide follow its staircase
@@ -66,7 +63,6 @@ class ChainModel(MotionModel):
 
     # Measure.
     least_depth: float = 0.3  # of a curve's points, that need depth for a length in metres
-    with_direction: float = 3.0  # widths: the ends of a shorter curve have no direction of their own
     off_axis: float = 0.7  # widths in space: a sample farther from the axis has depth of what is behind it too
     least_overhang: float = 0.5  # pixels, by which the outline of an oblique end may reach beyond the axis
 
@@ -100,13 +96,12 @@ class ChainModel(MotionModel):
     still_missing: float = 0.5  # of what was hidden: an end is only taken for hidden if so much is missing
     slides: float = 0.1  # of a bridged gap: by so much what is behind it may have slid into it
     long_ago: float = 0.18  # s without the rope, after which it may have slid anywhere
-    bent_share: float = 0.25  # of the squared distance by which a rope has slid: how far off its form is then
 
     # Register: direction.
     clear: float = 3.0  # times: how much nearer ends are to their own places than to each other's
     unseen: float = 30.0  # squared standard deviations, for a piece where all was folded back
-    sure: float = 8.0  # squared standard deviations by which the other direction has to be less likely
     uncovering: float = 2.0  # 1/s: how often an end goes out of sight or comes to light
+    sure: float = 8.0  # squared standard deviations by which the other direction has to be less likely
 
     # Register: placements.
     independent: _Pair = (4.0, 1.0)  # of 32 errors, in form and in place: neighbours err alike
@@ -124,8 +119,7 @@ class ChainModel(MotionModel):
 
     # Learn.
     first_spread: _Pair = (0.003, 0.006)  # of a length in pixels and in metres, before any was measured
-    length_spread: _Pair = (0.001, 0.012)  # of the length: its spread in pixels at least, in metres at most
-    widest_spread: float = 0.2  # of the length: its largest spread
+    length_spread: _Pair = (0.001, 0.012)  # of the length: its spread at least, and in metres at most
     followed_spread: float = 0.04  # of a length in pixels: if it varies so much, by perspective, it is followed at once
     memory: float = 0.65  # s: how fast length, its spread and the look of tips are learnt
     length_rate: float = 0.03  # of the length in a second, by which it follows what noise does not explain
@@ -153,11 +147,9 @@ class ChainModel(MotionModel):
     most_end_on: float = 4.0  # times as long in space as in the image: its points cannot be told apart there
     most_oblique: float = 2.7  # the same at the other tip, if one end is hidden
     oblique_cut: float = 2.0  # the same where that tip looks cut rather than the hidden end does
-    elsewhere: float = 0.45  # of how steep another piece is: so much counts like the tip
     most_missing: float = 0.016  # of the length, while both ends point at the camera
     steepest: float = 6.0  # times as long in space as in the image, while a tip does not look like the rope's own
     short_tolerances: float = 1.4  # tolerances by which a length in metres may be too short
-    short_spreads: float = 2.5  # standard deviations of its length, by which it may be too short
 
 
 def _record_type(kind: type[MotionModel]) -> np.dtype[Any]:

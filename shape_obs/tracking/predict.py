@@ -151,17 +151,16 @@ def predict(
     stale: bool = False,
     reach: float = math.inf,
 ) -> Prediction | None:
-    """Predict the nodes at ``stamp``: they go on with a velocity that fades; None without a track.
+    """Predict the nodes at ``stamp``: they go on with most of their velocity; None without a track.
 
-    The velocity fades, so that a shape that was lost is searched near its last place.
+    A velocity lasts for as long as it was seen, so that a shape that was lost is searched near its last place.
     ``stale`` and ``reach`` are those of the prediction.
     """
     if track is None:
         return None
     since, relief, climb = stamp - track.stamp, track.relief, track.climb
     rising = (_NOTHING, _NOTHING) if relief is None or climb is None else (relief, climb)
-    memory = model.velocity_memory * max(track.interval, model.velocity_smoothing)
-    ahead = memory * -math.expm1(-max(since, 0.0) / memory)
+    ahead = model.velocity_share * min(max(since, 0.0), track.interval)
     nodes, deep, motion = extrapolated(track.nodes, track.velocity, *rising, ahead)
     steady = abs(observed.area - track.area) <= model.steady * track.area
     known = track.size, track.topology, track.hints, observed.resolution, track.width
@@ -185,13 +184,8 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float, m
     interval = 0.0 if track is None else stamp - track.stamp
     if track is not None and interval > _LEAST_INTERVAL:
         relief = (_NOTHING, _NOTHING) if found.relief is None or track.relief is None else (found.relief, track.relief)
-        memory = model.velocity_memory * max(interval, model.velocity_smoothing)
-        kept = -math.expm1(-interval / memory) * memory / interval
-        turning = 1.0 if form.hints.turning is None else form.hints.turning / kept
-        gain = 1.0 if track.interval == 0 else -math.expm1(-interval / model.velocity_smoothing)
-        known = math.exp(-interval / memory)
-        rising = _NOTHING if track.climb is None else track.climb
-        velocity, changed = rates(nodes, track.nodes, *relief, track.velocity, rising, interval, turning, gain, known)
+        turning = 1.0 if form.hints.turning is None else form.hints.turning / model.velocity_share
+        velocity, changed = rates(nodes, track.nodes, *relief, interval, turning)
         climb = changed if len(changed) else None
     else:
         velocity = np.zeros_like(nodes)
@@ -218,11 +212,10 @@ def extrapolated(
     return moved, deep, math.sqrt(square / len(nodes))
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8[:,::1], f8[::1], f8, f8, f8, f8)")
+@compiled("(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, f8)")
 def rates(
-    nodes: Array, before: Array, relief: Array, relief_before: Array, was: Array, rising: Array, seconds: float,
-    turning: float, gain: float, kept: float,
-) -> tuple[Array, Array]:  # fmt: skip
+    nodes: Array, before: Array, relief: Array, relief_before: Array, seconds: float, turning: float
+) -> tuple[Array, Array]:
     """Return how fast nodes ``(K, D)`` and their relief ``(K,)`` or ``(0,)`` have changed, units a second.
 
     Of their common motion along a closed curve the share ``turning`` is believed.
@@ -230,10 +223,9 @@ def rates(
     velocity, climb = np.empty_like(nodes), np.empty_like(relief)
     for k in range(len(nodes)):
         for d in range(nodes.shape[1]):
-            velocity[k, d] = (1 - gain) * kept * was[k, d] + gain * (nodes[k, d] - before[k, d]) / seconds
+            velocity[k, d] = (nodes[k, d] - before[k, d]) / seconds
     for k in range(len(relief)):
-        last = kept * rising[k] if len(rising) > 0 else (relief[k] - relief_before[k]) / seconds
-        climb[k] = (1 - gain) * last + gain * (relief[k] - relief_before[k]) / seconds
+        climb[k] = (relief[k] - relief_before[k]) / seconds
     return (velocity if turning == 1 else with_turning(nodes, velocity, turning)), climb
 
 

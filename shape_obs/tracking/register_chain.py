@@ -153,7 +153,7 @@ def _match(
             was.drift > model.max_drift and min(cut) <= -model.own_tip and max(cut) > 0
         ):  # the prediction may be of other pieces
             away = (was.drift * length) ** 2
-            loosened = max(usual[0], model.bent_share * away), max(usual[1], away)
+            loosened = usual[0], max(usual[1], away)
         placed = place(
             rope, share, found, along, ends, cut, (was.hidden[0], was.hidden[1]), loosened, missing, noise,
             seconds, gap, model,

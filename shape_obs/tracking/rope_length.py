@@ -77,6 +77,5 @@ def shorten_length(rope: Any, size: float, metres: float, free: bool, seconds: f
 def _varied(spread: float, change: float, gain: float, model: Any) -> float:
     """Return the RMS share by which a length varies, after another change."""
     now = math.sqrt(spread**2 * (1 - gain) + gain * change**2)
-    if abs(change) > model.beyond_noise * spread:
-        now = max(now, abs(change) / 2)
-    return min(max(now, model.length_spread[0]), model.widest_spread)
+    now = max(now, abs(change) / 2) if abs(change) > model.beyond_noise * spread else now
+    return max(now, model.length_spread[0])

@@ -132,19 +132,9 @@ def step_measured_chain(
     was, now, pixels = known[0], state[0], arc[:0]
     if not now.plain:
         points, arc, flags, metres, pixels, log_depth = complete_chain(
-            points,
-            arc,
-            flags,
-            metres,
-            log_depth,
-            known,
-            state,
-            expected[6],
-            expected[4],
-            nodes,
-            node_log_depth,
+            points, arc, flags, metres, log_depth, known, state, expected[6], expected[4], nodes, node_log_depth,
             model[0],
-        )
+        )  # fmt: skip
     stations = metres if len(metres) > 0 else pixels if len(pixels) > 0 else arc
     _show(now, stations)
     found = even_points(points, stations, len(nodes) if len(nodes) > 0 else count, True)

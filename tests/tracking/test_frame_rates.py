@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final, cast
 
 import cv2
 import numpy as np
@@ -33,23 +33,24 @@ def rope_at(seconds: float, speed: float) -> Array:
     return points - points.mean(axis=0) + (160, 120 + sway)
 
 
-def frame_at(seconds: float, speed: float, *, depth: bool) -> tuple[npt.NDArray[np.uint8], Array | None, Array]:
-    """Return the mask, the depth, and the true points; from 0.8 to 2.2 s a hand comes over the last end and goes."""
+def frame_at(seconds: float, speed: float) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float32]]:
+    """Return the mask and the depth; from 0.8 to 2.2 s a hand comes over the last end and goes."""
     points, canvas = rope_at(seconds, speed), np.zeros((240, 320), np.uint8)
     cv2.polylines(canvas, [np.rint(16 * points).astype(np.int32)], False, 1, 9, cv2.LINE_8, 4)
     hand, reach = np.zeros_like(canvas), np.interp(seconds, [0.8, 1.1, 1.9, 2.2], [-20, 45, 45, -20])
     middle = np.rint(points[-1] + (40 - reach, 0)).astype(int)
     cv2.circle(hand, middle.tolist(), 40, 1, -1)
     image = np.where(hand, _HAND_Z, np.where(canvas, _Z, _TABLE_Z)).astype(np.float32)
-    return canvas * (1 - hand), image if depth else None, points
+    return (canvas * (1 - hand)).astype(np.uint8), image
 
 
 def filmed(rate: int, speed: float, *, depth: bool) -> dict[float, Detection]:
     """Track the rope at a rate; return what was found at the times that all rates share."""
     detector, found = ShapeDetector([Centerline(n=20, ends="tips", anchor=(0.0, 120.0))], max_speed=None), {}
     for frame in range(3 * rate + 1):
-        mask, image, _ = frame_at(frame / rate, speed, depth=depth)
-        detection = detector.detect_mask(mask, image, CAMERA if depth else None, stamp=frame / rate)
+        mask, image = frame_at(frame / rate, speed)
+        seen = (image, CAMERA) if depth else (None, None)
+        detection = detector.detect_mask(mask, *seen, stamp=frame / rate)
         if (time := round(frame / rate, 6)) in _TIMES:
             found[time] = detection
     return found
@@ -113,17 +114,20 @@ def test_predicting_twice_is_predicting_once_for_twice_as_long(rate: int, ahead:
     nodes, velocity = rng.uniform(0, 300, (12, 2)), rng.uniform(-50, 50, (12, 2))
 
     def at(track: Track, seconds: float) -> Array:
-        found = predict(track, _Seen(), track.stamp + seconds, model)  # pyright: ignore[reportArgumentType]
+        found = predict(track, cast("Any", _Seen()), track.stamp + seconds, model)
         assert found is not None
         return found.nodes
 
     track = Track(nodes, velocity, 1 / rate, 300.0, 5.0, Chain(12))
-    middle, speed = at(track, ahead), (at(track, ahead + 1e-6) - at(track, ahead - 1e-6)) / 2e-6
-    twice = at(track._replace(nodes=middle, velocity=speed, stamp=5.0 + ahead), ahead)
+    left = max(track.interval - ahead, 0.0)  # for which the velocity lasts
+    twice = at(track._replace(nodes=at(track, ahead), interval=left, stamp=5.0 + ahead), ahead)
     np.testing.assert_allclose(twice - nodes, at(track, 2 * ahead) - nodes, rtol=0.01, atol=1e-6)
     rope = new_rope(model).view(np.recarray)[0]
     rope.pose_speed = rope.shape_speed = 400.0
-    spread, constants = usual_distance.py_func, model.record.view(np.recarray)[0]  # only compiled code calls it
+    spread, constants = (
+        cast("Any", usual_distance).py_func,
+        model.record.view(np.recarray)[0],
+    )  # only compiled code calls it
     once, both = (np.array(spread(rope, k * ahead, 1.0, constants)) for k in (1, 2))
     noise = np.array(spread(rope, 0.0, 1.0, constants))
     np.testing.assert_allclose(np.sqrt(both - noise), 2 * np.sqrt(once - noise), rtol=0.01)

@@ -79,7 +79,7 @@ class TestWidth:
         ("seen", "kept"), [(8.2, 8.0), (7.8, 8.0), (9.0, 8.16), (4.0, 7.84), (8.26, 8.16), (80.0, 8.16)]
     )
     def test_noise_is_not_followed_and_a_change_is_followed_slowly(self, seen, kept):
-        assert after(first(), 0.0, 0.1, width=seen).width == pytest.approx(kept)
+        assert after(first(), 0.0, 1 / 30, width=seen).width == pytest.approx(kept)
 
 
 @pytest.mark.parametrize(("grown", "starts"), [(4, 0), (40, 1)])
