@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +39,7 @@ from shape_obs.tracking.measure_lattice import (
     lay_sheet,
     view_sheet,
 )
+from shape_obs.tracking.model import LatticeModel
 from shape_obs.tracking.predict import Fit, Prediction
 from shape_obs.tracking.register_lattice import STRAYED, match_corners
 from shape_obs.tracking.sheet_view import KnownSheet, SheetView, doubtful_places
@@ -77,6 +78,8 @@ class Surface(Configuration, kind="surface"):
             move single corners give more.
     """
 
+    model: ClassVar[LatticeModel] = LatticeModel()
+
     rows: int = 4
     cols: int = 8
     ends: Ends | None = None
@@ -99,7 +102,7 @@ class Surface(Configuration, kind="surface"):
 
     def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Lay a Coons patch between the predicted corners; put back what is hidden; else take the best four corners."""
-        view = view_sheet(observed, scene) if isinstance(observed, Region) else None
+        view = view_sheet(observed, scene, self.model) if isinstance(observed, Region) else None
         reason = self._rejection_reason(
             observed, observed.width if view is None else view.width, prediction is not None
         )

@@ -20,6 +20,7 @@ from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.rotation import fit
 from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.point_cloud.local_depth import SPARSE, bridged, gather_depth, middle_depth, room
+from shape_obs.tracking.model import DepthLimits
 
 if TYPE_CHECKING:
     from shape_obs.camera import Intrinsics
@@ -41,13 +42,6 @@ _ROUND: Final = 1
 _LEAST_SEEN: Final = 0.3  # of the border
 _MISFIT: Final = 0.06  # of the size: the known border lies over what is seen of it at least so well
 _WINDOWS: Final = 96  # places along an outline at which depth is read, at least; half as many more at most
-_AT_EDGE: Final = 0.8  # pixels
-_REACHES: Final = 8.0  # depth along an outline is read within this share of the object's width
-_LEAST_REACH: Final = 2
-_MOST_REACH: Final = 5
-_MIN_KNOWN: Final = 0.5  # of the pixels around a point of an outline: a plane through fewer goes astray next to a hole
-_OUTWARDS: Final = 7  # pixels beyond an outline: a camera has no depth next to an edge
-_NEARER: Final = 0.008  # metres: what is nearer by more lies over the object
 
 
 class Border(NamedTuple):
@@ -126,8 +120,9 @@ def complete_border(
 
 
 def look_around(
-    region: Region, points: Array, depth: DepthImages, intrinsics: Intrinsics | None, edge: Window | None
-) -> tuple[Array | None, Mask]:
+    region: Region, points: Array, depth: DepthImages, intrinsics: Intrinsics | None, edge: Window | None,
+    limits: DepthLimits,
+) -> tuple[Array | None, Mask]:  # fmt: skip
     """Return an outline ``(P, 2)`` in space, ``(P, 3)`` or None without depth, and where it is not the object's own.
 
     Args:
@@ -136,19 +131,21 @@ def look_around(
         depth: The frame's, see ``frame.depth_images``; both empty without depth or a camera.
         intrinsics: The projection; None if there is none.
         edge: The part of the image that is searched; None for the region's window.
+        limits: See ``rim_depth``.
     """
     at = region.window.left, region.window.top
     searched = cast("Edges", tuple(edge or region.window))
-    z, cut = rim_depth(depth, searched, region.mask, *at, points, region.width)
+    z, cut = rim_depth(depth, searched, region.mask, *at, points, region.width, limits)
     if intrinsics is None or np.isnan(z[0]):
         return None, cut
     lifted = intrinsics.deproject(points, z)
     return (lifted if np.isfinite(lifted).all() else None), cut
 
 
-@compiled("(" + DEPTH_TYPE + ", UniTuple(i8, 4), u1[:,::1], i8, i8, f8[:,::1], f8)")
+@compiled("(" + DEPTH_TYPE + ", UniTuple(i8, 4), u1[:,::1], i8, i8, f8[:,::1], f8, DepthLimits)")
 def rim_depth(
-    depth: DepthImages, edge: Edges, mask: npt.NDArray[np.uint8], left: int, top: int, rim: Array, width: float
+    depth: DepthImages, edge: Edges, mask: npt.NDArray[np.uint8], left: int, top: int, rim: Array, width: float,
+    limits: DepthLimits,
 ) -> tuple[Array, Mask]:  # fmt: skip
     """Return the depth along an outline, and where the object may go on beyond it.
 
@@ -160,6 +157,7 @@ def rim_depth(
         top: Image row of its first pixel.
         rim: ``(P, 2)`` pixels, clockwise as seen.
         width: Of the object, pixels: depth is read within a share of it.
+        limits: Of what is read.
 
     Returns:
         ``(P,)`` metres, all NaN if less than half of the outline has depth; ``(P,)`` whether the outline is that of
@@ -171,20 +169,20 @@ def rim_depth(
     z, cut, flags = np.full(len(rim), np.nan), np.zeros(len(rim), np.bool_), np.zeros(count, np.bool_)
     for k in range(count):
         u, v = rim[k * every, 0], rim[k * every, 1]
-        inside = edge[0] + _AT_EDGE < u < edge[0] + edge[2] - 1 - _AT_EDGE
-        flags[k] = not (inside and edge[1] + _AT_EDGE < v < edge[1] + edge[3] - 1 - _AT_EDGE)
+        inside = edge[0] + limits.at_edge < u < edge[0] + edge[2] - 1 - limits.at_edge
+        flags[k] = not (inside and edge[1] + limits.at_edge < v < edge[1] + edge[3] - 1 - limits.at_edge)
     if known:
-        reach = int(min(max(round(width / _REACHES), _LEAST_REACH), _MOST_REACH))
+        reach = int(min(max(round(width * limits.depth_reach), limits.min_reach), limits.max_reach))
         under = np.empty(count)
         if millimetres.size > 0:
-            _read(millimetres, MILLIMETRE, mask, left, top, rim, every, reach, under)
+            _read(millimetres, MILLIMETRE, mask, left, top, rim, every, reach, limits.min_depth, under)
         else:
-            _read(metres, 1.0, mask, left, top, rim, every, reach, under)
+            _read(metres, 1.0, mask, left, top, rim, every, reach, limits.min_depth, under)
         if bridged(under):
             if millimetres.size > 0:
-                _look_over(millimetres, MILLIMETRE, mask, left, top, rim, every, under, flags)
+                _look_over(millimetres, MILLIMETRE, mask, left, top, rim, every, under, limits, flags)
             else:
-                _look_over(metres, 1.0, mask, left, top, rim, every, under, flags)
+                _look_over(metres, 1.0, mask, left, top, rim, every, under, limits, flags)
             for k in range(count):
                 near, far = 1 / under[k], 1 / under[(k + 1) % count]
                 steps = min(every, len(rim) - k * every)
@@ -200,7 +198,7 @@ def rim_depth(
 @compiled
 def _read(
     depth: npt.NDArray[Any], unit: float, mask: npt.NDArray[np.uint8], left: int, top: int, rim: Array, every: int,
-    reach: int, out: Array,
+    reach: int, least: float, out: Array,
 ) -> None:  # fmt: skip
     """Fill the depth under every few points of an outline, metres."""
     step = 2 if reach >= SPARSE else 1
@@ -209,13 +207,13 @@ def _read(
     for k in range(len(out)):
         u, v = rim[k * every, 0], rim[k * every, 1]
         inside, known = gather_depth(depth, unit, mask, left, top, u, v, reach, step, near, x, y)
-        out[k] = middle_depth(near, x, y, w, spare, known, max(_MIN_KNOWN * inside, 1), True) * unit
+        out[k] = middle_depth(near, x, y, w, spare, known, max(least * inside, 1), True) * unit
 
 
 @compiled
 def _look_over(
     depth: npt.NDArray[Any], unit: float, mask: npt.NDArray[np.uint8], left: int, top: int, rim: Array, every: int,
-    under: Array, flags: Mask,
+    under: Array, limits: DepthLimits, flags: Mask,
 ) -> None:  # fmt: skip
     """Mark where the first depth that is seen outside of an outline is nearer than the object."""
     count = len(under)
@@ -224,7 +222,7 @@ def _look_over(
         u, v = rim[after, 0] - rim[before, 0], rim[after, 1] - rim[before, 1]
         reach = max((u * u + v * v) ** 0.5, 1e-9)
         at = rim[k * every, 0], rim[k * every, 1]
-        flags[k] = flags[k] or _covered(depth, unit, mask, left, top, at, (u / reach, v / reach), under[k])
+        flags[k] = flags[k] or _covered(depth, unit, mask, left, top, at, (u / reach, v / reach), under[k], limits)
 
 
 @compiled
@@ -237,10 +235,11 @@ def _covered(
     at: Pair,
     way: Pair,
     z: float,
+    limits: DepthLimits,
 ) -> bool:
     """Return whether the first depth that is seen outside of an outline, which runs along ``way``, is nearer than z."""
     u, v = at
-    for step in range(_OUTWARDS):
+    for step in range(int(limits.edge_reach)):
         x, y = (step + 1.5) * way[1], -(step + 1.5) * way[0]
         column, row = nearest_pixel(u + x), nearest_pixel(v + y)
         if not (0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]):
@@ -254,6 +253,6 @@ def _covered(
             across = depth[row, column] * unit  # the object's own, so far inside: a table aslant goes on as it does
             if 0 < across < FARTHEST and 2 / z > 1 / across:
                 z = min(z, 1 / (2 / z - 1 / across))
-        if abs(metres - z) > _NEARER:
+        if abs(metres - z) > limits.nearer:
             return metres < z
     return False

@@ -18,6 +18,7 @@ from shape_obs.image.outline_tracing import trace_largest
 from shape_obs.initialization.corners import nearest_corners, rim_of
 from shape_obs.tracking.complete_lattice import Edges, Lens, rim_depth
 from shape_obs.tracking.measure_ring import MIN_SAMPLES, lifted
+from shape_obs.tracking.model import DepthLimits, LatticeModel
 from shape_obs.tracking.register_lattice import FITS, assign_corners, compare_sheet, known_slack, match_corners
 from shape_obs.tracking.sheet_view import SheetView, doubtful_places, learn_sheet
 
@@ -43,15 +44,15 @@ UNBENT: Final = (90.0, 0.0, 0.0, 0.0)
 _MAX_PIXEL: Final = 1e12  # farther off, a projected point counts as out of sight
 
 
-@compiled("(u1[:,::1], i8[:,::1], i8, i8, i8, " + DEPTH_TYPE + ", UniTuple(i8, 4), UniTuple(f8, 4))")
+@compiled("(u1[:,::1], i8[:,::1], i8, i8, i8, " + DEPTH_TYPE + ", UniTuple(i8, 4), UniTuple(f8, 4), DepthLimits)")
 def see_sheet(
     mask: Mask, runs: Indices, pieces: int, left: int, top: int, depth: DepthImages,
-    edge: Edges, camera: Lens,
+    edge: Edges, camera: Lens, limits: DepthLimits,
 ) -> tuple[Array, Array, Indices, float, float, Array, Array, Flags, float]:  # fmt: skip
     """Return the outline of the largest piece of a mask as the rim of a sheet, and put it in space.
 
     Args:
-        mask: As ``step_ring_in_mask`` takes it, and all others.
+        mask: As ``step_ring_in_mask`` takes it, and all up to the camera.
         runs: Of the mask.
         pieces: Components.
         left: Image column.
@@ -59,6 +60,7 @@ def see_sheet(
         depth: The frame's.
         edge: Of what is searched.
         camera: A pinhole.
+        limits: As ``rim_depth`` takes it.
 
     Returns:
         The five of ``rim_of``; the rim in metres ``(400, 3)``, ``(0, 3)`` without depth; ``(400,)`` depth, metres or
@@ -69,20 +71,20 @@ def see_sheet(
         nothing = np.empty(0)
         return np.empty((0, 2)), nothing, np.empty(0, np.int64), 0.0, 0.0, np.empty((0, 3)), nothing, nothing > 0, width
     rim, turn, candidates, step, grain = rim_of(material_outline(traced, False)[1])
-    z, cut = rim_depth(depth, edge, mask, left, top, rim, width)
+    z, cut = rim_depth(depth, edge, mask, left, top, rim, width, limits)
     return rim, turn, candidates, step, grain, lifted(rim, z, camera), z, cut, width
 
 
-def view_sheet(region: Region, scene: Scene) -> SheetView:
+def view_sheet(region: Region, scene: Scene, model: LatticeModel) -> SheetView:
     """Return the outline of a region as the rim of a sheet, in space if the frame has depth along it."""
     own, around = scene.around(region)
-    rim, turn, candidates, step, grain, space, z, cut, width = see_sheet(*own, *around)
+    rim, turn, candidates, step, grain, space, z, cut, width = see_sheet(*own, *around, model.depth_limits)
     camera = scene.intrinsics
     if camera is not None and camera.model != "pinhole" and len(z) and np.isfinite(z).all():
         there = camera.deproject(rim, z)
         space = there if np.isfinite(there).all() else space
     space, camera = (space, camera) if len(space) else (rim, None)
-    return SheetView(region, rim, turn, candidates, step, grain, space, cut, camera, width, around[-1])
+    return SheetView(region, rim, turn, candidates, step, grain, space, cut, camera, width, around[-1], model)
 
 
 @compiled("(f8[:,::1], f8[::1], i8[::1], f8, f8, f8[:,::1], i8[::1], f8[:,::1])")

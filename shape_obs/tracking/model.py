@@ -4,16 +4,16 @@ A record is passed and not read from the module, so that another value needs no 
 
     Centerline.model = replace(Centerline.model, velocity_share=0.9)
 
-``python -m tests.benchmarks sensitivity`` halves and doubles each of them (docs/benchmarks/sensitivity.md); the formulas
-are in docs/concepts/model.md. Of two values, the first is for images and the second for space, unless their line
-differs.
+``python -m tests.benchmarks sensitivity`` halves and doubles each of them (docs/benchmarks/sensitivity.md); the
+formulas are in docs/concepts/model.md. Of two values, the first is for images and the second for space, unless their
+line differs.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +31,7 @@ class MotionModel:
     max_width_change: float = 0.02  # of the width, in a frame
     width_noise: float = 0.03  # of the width: smaller changes are noise
     steady: float = 0.003  # of the area, by which what is seen as a whole changes from frame to frame
+    nearer: float = 0.008  # metres: what is nearer than an object by more, besides its slope, is over it
 
     @cached_property
     def record(self) -> Model:
@@ -72,7 +73,6 @@ class ChainModel(MotionModel):
     unfamiliar: float = 4.0  # times: how much larger the variance of a tip is that was seen once
     tip_reach: _Pair = (1.5, 8.0)  # widths and pixels around a tip in which what hides it must be
     at_border: _Pair = (0.5, 2.0)  # widths and pixels from the border, within which a rope is cut off by it
-    nearer: float = 0.008  # metres: what is nearer than the rope by this much, and its slope, is over it
     level: float = 0.004  # metres: what goes on at the rope's own depth, within this, is the rope
     touching: float = 0.06  # of the pixels ahead: that many are nearer where something hides the rope
     seen_past: float = 0.5  # of the pixels ahead: that many are behind a tip that is free
@@ -155,6 +155,79 @@ class ChainModel(MotionModel):
     short_spreads: float = 2.5  # standard deviations of its length, by which it may be too short
 
 
+class DepthLimits(NamedTuple):
+    """How depth is read along an outline: the fields of an ``OutlineModel`` with these names."""
+
+    nearer: float
+    at_edge: float
+    depth_reach: float
+    min_reach: float
+    max_reach: float
+    min_depth: float
+    edge_reach: float
+
+
+@dataclass(frozen=True)
+class OutlineModel(MotionModel):
+    """What is the same for outlines and for the outlines of sheets."""
+
+    at_edge: float = 0.8  # pixels: an outline as near to the edge of what is searched is cut off by it
+    depth_reach: float = 0.125  # of the width: depth along an outline is read within this
+    min_reach: float = 2.0  # pixels: that reach at least
+    max_reach: float = 5.0  # pixels: that reach at most
+    min_depth: float = 0.5  # of the pixels around a point: with less depth, a plane through them is off next to a hole
+    edge_reach: float = 7.0  # pixels beyond an outline, where depth is looked for: a camera has none next to an edge
+    form_noise: float = 0.5  # pixels: what is nearer to the known form is off by noise
+
+    @cached_property
+    def depth_limits(self) -> DepthLimits:
+        """What reading depth along an outline takes."""
+        return DepthLimits(*(getattr(self, name) for name in DepthLimits._fields))
+
+
+@dataclass(frozen=True)
+class RingModel(OutlineModel):
+    """An outline."""
+
+    # Nodes. At 4 px they jitter by a sixth more than at 6 px; at 8 px garments are 0.16 px off instead of 0.13.
+    node_spacing: float = 3.0  # samples from node to node: closer, they follow the pixels; farther, they cut corners
+    max_spacing: float = 1.5  # widths from node to node: farther, and a node's samples are those of the other side too
+    min_width: float = 1.25  # samples: of outlines of 2 px, one in three has its two sides mixed up; of 3 px, none
+    min_hollow: float = 0.05  # of what a closed band encloses; drawn shapes without a hole have at most 0.01
+    sigma: float = 0.4  # nodes: width of the neighbourhood; there is one epoch, since the start is on the outline
+
+    # Register.
+    start_weight: float = 0.05  # of a match of forms: weight of the place; of a square's four ways the nearest is taken
+    place_weight: _Pair = (0.0003, 1.0)  # the same on a circle: of any size, and times a squared resolution, for noise
+    staircase: float = 0.06  # squared resolutions: what the staircase of pixels makes of a circle
+    alike: float = 0.98  # of a perfect match: a better one in space is looked for near the expected place alone
+    outlier: float = 2.0  # median distances: what is farther off has bent or is hidden, and counts for little
+    max_refinement: float = 1 / 24  # of the outline: by so much a shift is refined at most
+
+    # Learn. Numbered by the last frame alone, an outline of noisy pixels drifts by 6 px in 180 frames.
+    outline_gain: float = 0.05  # in a frame: how fast the known outline follows the one that is found
+    max_outline_change: float = 0.003  # of the radius in a frame: what a hand hides little by little is not forgotten
+
+    # Hidden pieces, and how they are completed.
+    inside: _Pair = (1.2, 0.01)  # pixels and radii: an outline so far within the known one is not the object's own
+    cut_turn: float = 0.28  # radians by which it turns more than the known one where something begins to hide it
+    may_cut: float = 0.4  # of that turn: with less between its nodes, nothing hides a piece
+    turn_reach: float = 1 / 16  # of the outline to either side: a turn is measured over it
+    turn_within: float = 3.0  # nodes from where it leaves the known outline to that turn, at most
+    trimmed: float = 4.0  # points of a visible piece next to what hides the rest, which are not used
+    min_seen: float = 0.4  # of the outline: so much has to be in sight, in one piece
+    place_cost: float = 0.005  # of a misfit of forms: what a misfit of places costs
+
+    # Judge. The staircase of pixels alone is 0.12 samples off the best curve, flipped border pixels twice that.
+    miss: _Pair = (0.15, 0.75)  # samples by which an outline misses the mask's: of an ideal one, and at most
+    min_piece: float = 0.6  # of the object: the largest piece
+
+
+@dataclass(frozen=True)
+class LatticeModel(OutlineModel):
+    """A sheet."""
+
+
 def _record_type(kind: type[MotionModel]) -> np.dtype[Any]:
     """Return the type of a model's record; of several values each, an array."""
     model = kind()
@@ -164,3 +237,5 @@ def _record_type(kind: type[MotionModel]) -> np.dtype[Any]:
 
 #: The type of a ``ChainModel``'s record.
 ChainConstants: Final = _record_type(ChainModel)
+#: The type of a ``RingModel``'s record.
+RingConstants: Final = _record_type(RingModel)

@@ -18,6 +18,7 @@ from shape_obs.geometry.rotation import laid_flat, similarity
 from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Rim
 from shape_obs.tracking.complete_lattice import Border, Lens, complete_border, look_around
+from shape_obs.tracking.model import LatticeModel
 from shape_obs.tracking.predict import Prediction
 from shape_obs.tracking.register_lattice import assign_corners, known_slack, zoom_of
 
@@ -60,6 +61,7 @@ class SheetView:
         camera: The projection where there is depth, else None.
         width: Of the mask's largest piece, pixels.
         lens: Focal lengths and principal point, if the camera is a pinhole.
+        model: The constants.
     """
 
     region: Region
@@ -73,6 +75,7 @@ class SheetView:
     camera: Intrinsics | None
     width: float
     lens: Lens
+    model: LatticeModel
 
     @property
     def scale(self) -> float:
@@ -112,7 +115,9 @@ class SheetView:
         inwards = np.stack([-along[:, 1], along[:, 0]], axis=1)
         inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
         inner = self.rim + _INNER * self.region.width * inwards
-        lifted = look_around(self.region, np.ascontiguousarray(inner), depth_images(depth), self.camera, None)[0]
+        lifted, _ = look_around(
+            self.region, np.ascontiguousarray(inner), depth_images(depth), self.camera, None, self.model.depth_limits
+        )
         if lifted is None:
             return np.zeros(len(self.rim))
         before = self.space - np.roll(self.space, TURN_REACH, axis=0)

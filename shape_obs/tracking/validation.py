@@ -12,6 +12,7 @@ from shape_obs.clustering.som import best_matching_units, nearest_around
 from shape_obs.compiled import compiled
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.topology import Grid
+from shape_obs.tracking.model import RingModel
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -19,12 +20,7 @@ Indices = npt.NDArray[np.int64]
 MAX_OFF: Final = 0.10
 _JUDGED: Final = 150  # samples are enough to measure how far a mask spreads about a curve
 MAX_HIDDEN: Final = 0.75  # of a tracked shape
-# Of an outline: the staircase of pixels alone lies 0.25 px (0.12 samples) off the best curve, flipped border pixels
-# twice that; what misses them by more follows another outline. A few hundred samples are enough to measure it.
-_IDEAL_MISS: Final = 0.15
-_MAX_MISS: Final = 0.75
-_MIN_PIECE: Final = 0.6
-_JUDGED_AROUND: Final = 256
+_JUDGED_AROUND: Final = 256  # samples are enough to measure by how much an outline is missed
 _NEAR: Final = 6  # points of a curve, within which the nearest to a sample lies
 # Of a sheet: degrees by which a corner may miss a right angle; the share of its cells next to one that lies upside down
 # (a single one may, where a real corner is round); the excess length of a side; the variation of its cells' areas.
@@ -72,7 +68,7 @@ def validate_gaps(points: Array, valid: npt.NDArray[np.bool_], layout: Grid, err
     return FOLDED if unequal > max(_MAX_UNEQUAL, _OF_NOISE * error / min(means)) else ""
 
 
-def validate_outline(observed: Observed, miss: float) -> FitQuality:
+def validate_outline(observed: Observed, miss: float, model: RingModel) -> FitQuality:
     """Validate the outline of an object's largest piece.
 
     Refused are a piece that is less than 60 % of the object, and a curve that the outline's samples miss by 0.75 of
@@ -81,19 +77,18 @@ def validate_outline(observed: Observed, miss: float) -> FitQuality:
     Args:
         observed: What it was fitted to.
         miss: Mean distance of the outline's samples from the curve, in units of their distance.
+        model: The constants.
     """
-    piece = observed.outlined_share
-    if piece < _MIN_PIECE:
+    piece, (ideal, most) = observed.outlined_share, model.miss
+    if piece < model.min_piece:
         return FitQuality(
             f"the {observed.noun} falls into {observed.pieces} pieces, and the largest is {piece:.0%} of it "
-            f"(at least {_MIN_PIECE:.0%})",
+            f"(at least {model.min_piece:.0%})",
             0.0,
         )
-    if miss > _MAX_MISS:
-        return FitQuality(
-            f"the outline misses the {observed.noun}'s by {miss:.2f} samples (at most {_MAX_MISS:.2f})", 0.0
-        )
-    excess = max(miss - _IDEAL_MISS, 0.0) / (_MAX_MISS - _IDEAL_MISS)
+    if miss > most:
+        return FitQuality(f"the outline misses the {observed.noun}'s by {miss:.2f} samples (at most {most:.2f})", 0.0)
+    excess = max(miss - ideal, 0.0) / (most - ideal)
     return FitQuality("", ((1 - excess) * piece) ** 0.5)
 
 
