@@ -20,7 +20,7 @@ from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.rotation import fit
 from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.point_cloud.local_depth import SPARSE, bridged, gather_depth, middle_depth, room
-from shape_obs.tracking.model import DepthLimits
+from shape_obs.tracking.model import DepthLimits, LatticeModel
 
 if TYPE_CHECKING:
     from shape_obs.camera import Intrinsics
@@ -34,13 +34,7 @@ Edges = tuple[int, int, int, int]
 Lens = tuple[float, float, float, float]
 Pair = tuple[float, float]
 
-# A border is followed from a visible corner while it lies within so many pixels, in addition to a share of the way, of
-# where the others put it; the last points before it leaves are not believed, nor are those next to a rounded corner.
-_ASIDE: Final = 2.0
-_LAST: Final = 1
-_ROUND: Final = 1
-_LEAST_SEEN: Final = 0.3  # of the border
-_MISFIT: Final = 0.06  # of the size: the known border lies over what is seen of it at least so well
+_OUTSIDE: Final = 1.5  # pixels from an outline to the first place beyond it, whose pixel is not the object's own
 _WINDOWS: Final = 96  # places along an outline at which depth is read, at least; half as many more at most
 
 
@@ -60,7 +54,7 @@ class Border(NamedTuple):
 
 def complete_border(
     expected: Array, known: Array, rim: Array, space: Array, corners: Indices, cut: Mask, kinks: Mask,
-    sides: Array, slack: Array, aside: float,
+    sides: Array, slack: Array, bend: float, model: LatticeModel,
 ) -> Border | None:  # fmt: skip
     """Return the whole border of a sheet of which a part is seen; None if too little is known.
 
@@ -74,8 +68,10 @@ def complete_border(
         kinks: ``(400,)`` whether it turns there as no sheet's side does.
         sides: ``(4,)`` the known lengths.
         slack: ``(4,)`` by which a length may be off.
-        aside: By how much of the way the border may lie off its form.
+        bend: By how much of the way the border may be off its form.
+        model: The constants.
     """
+    trimmed = int(model.trimmed)
     lines = [np.ascontiguousarray(np.concatenate([points, points[:1]])) for points in (rim, space)]
     arc = arc_length(lines[1])
     visible = [k for k in range(4) if corners[k] >= 0]
@@ -87,26 +83,26 @@ def complete_border(
         length = sides[side]
         if corners[other] >= 0:
             between = way * (arc[corners[other]] - arc[corners[k]]) % arc[-1]
-            length = between if abs(between - length) < 2 * slack[side] else length
+            length = between if abs(between - length) < model.own_length * slack[side] else length
         points = (SIDE * k + way * np.arange(SIDE + 1)) % (4 * SIDE)
         at = (arc[corners[k]] + way * np.linspace(0, length, SIDE + 1)) % arc[-1]
         pixels, places = (interpolate(line, arc, at) for line in lines)
         far = np.linalg.norm(placed[points] - placed[points[0]], axis=1)
         off = np.linalg.norm(pixels - pixels[0] - (placed[points] - placed[points[0]]), axis=1)
         covered = (cut | kinks)[np.searchsorted(arc, at, side="right").clip(1, RIM) - 1]
-        wrong = (off > _ASIDE + aside * far) | covered
-        good = points[: SIDE + 1 if not wrong.any() else max(int(np.argmax(wrong)) - _LAST, 0)]
+        wrong = (off > model.border_noise + bend * far) | covered
+        good = points[: SIDE + 1 if not wrong.any() else max(int(np.argmax(wrong)) - trimmed, 0)]
         found[good], seen[good] = places[: len(good)], True
-    if seen.mean() < _LEAST_SEEN:
+    if seen.mean() < model.min_seen:
         return None
     known = stretched(known, [k for k in range(4) if corners[k] < 0], sides)
     laid = fit(known[seen], found[seen], scaled=space.shape[1] == 2).apply(known)
     index = np.arange(4 * SIDE)
-    sharp = seen & (abs((index + SIDE // 2) % SIDE - SIDE // 2) > _ROUND)
+    sharp = seen & (abs((index + SIDE // 2) % SIDE - SIDE // 2) > trimmed)
     if not sharp.any():
         return None
     off = found - laid
-    if np.sqrt((off[sharp] ** 2).sum(axis=1).mean()) > _MISFIT * sides.mean():
+    if np.sqrt((off[sharp] ** 2).sum(axis=1).mean()) > model.max_misfit * sides.mean():
         return None
     off = [np.interp(index, index[sharp], column[sharp], period=4 * SIDE) for column in off.T]
     points, folded = laid + np.stack(off, axis=1), []
@@ -240,7 +236,7 @@ def _covered(
     """Return whether the first depth that is seen outside of an outline, which runs along ``way``, is nearer than z."""
     u, v = at
     for step in range(int(limits.edge_reach)):
-        x, y = (step + 1.5) * way[1], -(step + 1.5) * way[0]
+        x, y = (step + _OUTSIDE) * way[1], -(step + _OUTSIDE) * way[0]
         column, row = nearest_pixel(u + x), nearest_pixel(v + y)
         if not (0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]):
             return False

@@ -18,7 +18,7 @@ from shape_obs.image.outline_tracing import trace_largest
 from shape_obs.initialization.corners import nearest_corners, rim_of
 from shape_obs.tracking.complete_lattice import Edges, Lens, rim_depth
 from shape_obs.tracking.measure_ring import MIN_SAMPLES, lifted
-from shape_obs.tracking.model import DepthLimits, LatticeModel
+from shape_obs.tracking.model import DepthLimits, LatticeConstants, LatticeModel, Model  # noqa: F401 - in a signature
 from shape_obs.tracking.register_lattice import FITS, assign_corners, compare_sheet, known_slack, match_corners
 from shape_obs.tracking.sheet_view import SheetView, doubtful_places, learn_sheet
 
@@ -132,10 +132,12 @@ def lay_patch(
 Judged = tuple[int, int, Array, Array, Array, Flags, float, Array, Array, tuple[float, float, float, float]]
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8[:,::1], f8, f8[:,::1], f8[::1], u1[:,::1], i8, i8, f8, f8, b1)")
+@compiled(
+    "(f8[:,::1], f8[:,::1], f8[:,::1], f8, f8[:,::1], f8[::1], u1[:,::1], i8, i8, f8, f8, b1, LatticeConstants[::1])"
+)
 def judge_patch(
     patch: Array, lattice: Array, space: Array, step: float, known: Array, sides: Array, mask: Mask, left: int,
-    top: int, rows: float, cols: float, buckled: bool,
+    top: int, rows: float, cols: float, buckled: bool, model: Model,
 ) -> Judged:  # fmt: skip
     """Compare a sheet that is seen as a whole with what is known of it, and measure it.
 
@@ -152,42 +154,44 @@ def judge_patch(
         rows: How many points are asked for from top to bottom.
         cols: The same from left to right.
         buckled: Whether sides may be shorter, see ``compare_sheet``.
+        model: ``(1,)`` the constants.
 
     Returns:
         The two of ``compare_sheet``; the lattice, and the two of ``lattice_gauges``; ``(625,)`` what is hidden; the
         share that lies off the mask; what is known now, see ``learn_sheet``; the measures of ``assess_lattice``, of a
         sheet in the image alone.
     """
-    metric = len(known) > 0 and known.shape[1] == 3
+    metric, constants = len(known) > 0 and known.shape[1] == 3, model[0]
     hidden, measures = ~near_mask(mask, left, top, lattice, 1), UNBENT
     down, right = lattice_gauges(lattice.reshape(FINE, FINE, 2))
     off, reference, lengths = np.count_nonzero(hidden) / len(hidden), patch, sides
     if len(known) > 0:
         scale = arc_length(closed(space))[RIM] / (RIM * step) if metric else 1.0
         border = border_of(patch if metric else lattice)
-        slack = known_slack(sides, metric, scale)
-        code, side = compare_sheet(border, border_of(known), sides, slack, metric, buckled)
+        share = constants.length_tolerance[1 if metric else 0]
+        slack = known_slack(sides, share, constants.border_noise * scale)
+        code, side = compare_sheet(border, border_of(known), sides, slack, metric, buckled, constants)
         if code != FITS:
             return code, side, lattice, down, right, hidden, off, reference, lengths, measures
         if not metric:
-            hidden |= doubtful_places(known, lattice, min(sides[0] / cols, sides[1] / rows))
+            hidden |= doubtful_places(known, lattice, min(sides[0] / cols, sides[1] / rows), model)
     if not metric and patch.shape[1] == 2:
         measures = assess_lattice(patch.reshape(FINE, FINE, 2))
     if len(known) == 0 or known.shape[1] < patch.shape[1]:
         lengths = side_lengths(border_of(patch))
     elif not (buckled and metric):
-        reference, lengths = learn_sheet(known, patch, sides)
+        reference, lengths = learn_sheet(known, patch, sides, constants)
     return FITS, 0, lattice, down, right, hidden, off, reference, lengths, measures
 
 
 @compiled(
     "(f8[:,::1], f8[::1], i8[::1], f8, f8, f8[:,::1], i8[::1], f8[:,::1], UniTuple(f8, 4), f8[:,::1], f8[::1], "
-    "u1[:,::1], i8, i8, f8, f8, b1)"
+    "u1[:,::1], i8, i8, f8, f8, b1, LatticeConstants[::1])"
 )
 def lay_sheet(
     rim: Array, turn: Array, candidates: Indices, step: float, grain: float, space: Array, corners: Indices,
     predicted: Array, camera: Lens, known: Array, sides: Array, mask: Mask, left: int, top: int, rows: float,
-    cols: float, buckled: bool,
+    cols: float, buckled: bool, model: Model,
 ) -> tuple[Judged, Array, float, int, float]:  # fmt: skip
     """Run ``lay_patch``, project the patch by a pinhole and run ``judge_patch``, all in one call.
 
@@ -199,7 +203,7 @@ def lay_sheet(
     if len(patch) == 0 or len(lattice) == 0:
         code, nothing = OUT_OF_SIGHT if len(patch) else NO_CORNERS, np.empty(0)
         return (code, 0, lattice, nothing, nothing, nothing > 0, 0.0, patch, sides, UNBENT), patch, kink, number, stray
-    judged = judge_patch(patch, lattice, space, step, known, sides, mask, left, top, rows, cols, buckled)
+    judged = judge_patch(patch, lattice, space, step, known, sides, mask, left, top, rows, cols, buckled, model)
     return judged, patch, kink, number, stray
 
 

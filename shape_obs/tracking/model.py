@@ -31,6 +31,9 @@ class MotionModel:
     max_width_change: float = 0.02  # of the width, in a frame
     width_noise: float = 0.03  # of the width: smaller changes are noise
     steady: float = 0.003  # of the area, by which what is seen as a whole changes from frame to frame
+    max_off: float = 0.10  # of a form: so much of it may be off the mask or cloud
+    max_hidden: float = 0.75  # of a tracked object: so much of it may be out of sight
+    min_seen: float = 0.3  # of an object: so much has to be in sight to report it
     nearer: float = 0.008  # metres: what is nearer than an object by more, besides its slope, is over it
 
     @cached_property
@@ -140,7 +143,6 @@ class ChainModel(MotionModel):
     max_scatter: float = 0.40  # widths: RMS distance of what is seen from the curve; of an ideal ribbon 0.29
     min_stretch: float = 0.957  # a curve that became longer by more follows something else; a pulled band does not
     either_end: float = 0.08  # of the length: if so much more may be hidden at the other end, neither is known
-    min_seen: float = 0.3  # of the length: so much has to be in sight to report it
     min_in_pieces: float = 0.45  # the same around a long gap: a piece behind it may be anywhere
     long_gap: float = 0.1  # of the length
     min_between: float = 0.6  # of the length: so much has to be in sight while both ends are hidden
@@ -227,6 +229,85 @@ class RingModel(OutlineModel):
 class LatticeModel(OutlineModel):
     """A sheet."""
 
+    # Which objects are sheets.
+    min_width: float = 6.0  # resolutions: what is narrower has no two sides that can be distinguished
+    max_aspect: float = 8.0  # length over width: what is longer is a ribbon, whose corners are its ends
+    max_cut: float = 0.03  # of the outline, which may be on the image's edge when a track begins
+    min_piece: float = 0.8  # of the mask: the largest piece, since a sheet cannot be connected over a gap
+
+    # Register: which turns of the outline are corners. Standard deviations are those of a frame.
+    corner_reach: float = 0.8  # half diagonals from where a corner is expected: it is not looked for farther off
+    corner_spread: _Pair = (0.035, 0.12)  # half diagonals: of one from where the others put it; tilt moves it in space
+    shift_spread: float = 0.3  # half diagonals: standard deviation of the motion of all corners
+    turn_spread: float = 0.35  # radians: standard deviation of how they turn
+    scale_spread: float = 0.15  # standard deviation of the logarithm of their scale
+    min_scale: float = 0.5  # times: corners do not come so much nearer to each other
+    cost_of_hiding: float = 3.0  # squared standard deviations: of a hidden corner
+    cost_of_detour: float = 2.0  # squared standard deviations: at most, of a long side with something over its middle
+
+    # Register: sides, and what hides a part of them.
+    length_tolerance: _Pair = (0.04, 0.07)  # of a side: its length may be off by so much
+    border_noise: float = 2.0  # pixels: a length and a border may be off by so much
+    max_zoom: float = (
+        0.03  # of the size, in a frame: all sides in an image grow and shrink together, as it comes nearer
+    )
+    cut_turn: _Pair = (0.38, 0.6)  # radians by which a border turns where something hides it: on a side; at a corner
+    dent: _Pair = (
+        0.035,
+        1.5,
+    )  # of a side and pixels: a border in an image that is farther from its form is not its own
+    min_buckled: float = 0.8  # of its length: a side that has buckled is not shorter
+    outlier: float = 2.5  # median distances: what is nearer to the known form has bent with the rest of the sheet
+    hidden_place: _Pair = (0.3, 1.0)  # of a gap and pixels: nodes in an image farther from the known form are hidden
+
+    # Complete.
+    border_bend: _Pair = (0.05, 0.12)  # of the way from a corner: a border is followed while it is no farther off
+    own_length: float = 2.0  # tolerances: a side that is off by less between two corners in sight is all its own
+    trimmed: float = 1.0  # points of a border before it leaves its form, and next to a corner, which are not used
+    max_misfit: float = 0.06  # of the size: RMS distance of what is seen of a border from the known one
+    barely_cut: float = 0.1  # of the outline, next to which something nearer is seen, as a gripper is
+    behind: float = 0.01  # metres: what is farther behind a sheet would be hidden by it
+    max_seen_through: float = 0.02  # of a sheet: the border of what is put back may be a little outside
+    inner: float = 0.06  # of the width from its border: there the plane of a sheet is measured
+    fold_turn: float = 0.45  # radians by which a border turns within the sheet at a fold, and else at corners alone
+
+    # Learn.
+    max_stretch: _Pair = (0.0022, 0.001)  # of a side, in a frame: its known length follows by so much
+    form_gain: float = 0.03  # in a frame: how fast the known form follows in an image
+
+    # Judge a lattice. Of real towels no side turns by more than 36 degrees or winds by more than 7 %, and no areas vary
+    # by more than 15 %; T-shirts and shorts begin there.
+    max_skew: float = 55.0  # degrees by which a corner may miss a right angle
+    max_folds: float = 0.01  # of the cells that lie next to one that is upside down, as one may at a round corner
+    kink: _Pair = (25.0, 60.0)  # degrees by which a side turns: in wrinkles, and at most
+    max_winding: float = 0.20  # of the way from corner to corner: excess length of a side
+    max_uneven: float = 0.40  # variation of the areas of cells
+    max_unequal: float = (
+        0.03  # of a gap in space: mean difference; with more drawn cloths are wrong, with less 3 of 1,663
+    )
+    gap_noise: float = 0.8  # errors of a point: mean difference of gaps that noise explains
+
+    # Judge by depth whether it is folded or crumpled (``tests.benchmarks sheets.crumpled``). Of 170 simulated cloths
+    # that were dropped, dragged and folded, all within these shares were at most half a cell off on average; of 60 in
+    # waves one was not within them, under 2 mm of noise.
+    min_measured: float = 0.8  # of the nodes of a row: so many need depth, so that its length is known
+    flying: float = 2.0  # pixels from the border, whose depth may be between the sheet's and that of what is behind
+    smeared: float = 3.0  # pixels from the border, whose depth may be that of what is behind
+    step: float = 0.005  # metres between two samples: two layers of a towel, 5 times a D455's noise at 0.7 m
+    step_slope: float = 1.5  # metres of depth for each metre: steeper than any crease of a cloth in waves (1.0)
+    step_noise: float = 4.0  # times the median of the largest steps of all gaps, which is noise
+    fall_noise: float = 2.0  # times the same: a smaller fall at a border may be noise
+    steep: float = 0.55  # radians by which a surface leans at its border, where it may turn away
+    steeper: float = 0.4  # radians by which it leans more there than an eighth of a side farther in
+    row_noise: float = 0.03  # of the median length of rows: a difference that noise and waves explain
+    max_short: float = 0.18  # of the median length: how much shorter a row may be along the surface
+    max_long: float = 0.5  # of the median length: how much longer
+    torn: _Pair = (0.25, 0.4)  # of the rows in which depth steps: what noise and waves explain, and at most
+    turned: _Pair = (0.2, 0.3)  # of a side that turns away: what noise and waves explain, and at most
+    min_flat: float = 0.5  # of 1, a sheet that is spread out: shares that are near their limits add up
+    node_noise: float = 0.1  # of a gap: nodes that may be off by less are not
+    uncertain: float = 0.2  # of a gap, beyond that: nodes that may be off by more are uncertain
+
 
 def _record_type(kind: type[MotionModel]) -> np.dtype[Any]:
     """Return the type of a model's record; of several values each, an array."""
@@ -239,3 +320,5 @@ def _record_type(kind: type[MotionModel]) -> np.dtype[Any]:
 ChainConstants: Final = _record_type(ChainModel)
 #: The type of a ``RingModel``'s record.
 RingConstants: Final = _record_type(RingModel)
+#: The type of a ``LatticeModel``'s record.
+LatticeConstants: Final = _record_type(LatticeModel)

@@ -212,7 +212,7 @@ def index_shift(reference: Array, predicted: Array, found: Array, model: Any) ->
 
 @compiled
 def blend(reference: Array, found: Array, gain: float, most: float) -> Array:
-    """Return the reference laid over ``found`` and moved a share of the way there, all ``(K, 2)``.
+    """Return the reference placed over ``found`` and moved a share of the way there, all ``(K, 2)``.
 
     No node moves by more than a share of the radius.
     """

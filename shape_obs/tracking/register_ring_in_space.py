@@ -31,7 +31,7 @@ _COMPARED: Final = 48  # of the nodes, at least
 
 @compiled("(f8[:,::1], f8[:,::1], f8)")
 def blend_space(reference: Array, found: Array, gain: float) -> Array:
-    """Return the reference laid over ``found`` and moved a share of the way there, all ``(K, 3)``."""
+    """Return the reference placed over ``found`` and moved a share of the way there, all ``(K, 3)``."""
     covariance, before, after = covariance_of(reference, found)
     rotation = best_rotation(covariance)
     out = np.empty_like(found)

@@ -13,7 +13,7 @@ from shape_obs.image.find_region import find_region
 from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
 from shape_obs.tracking.judge_chain import reason_of
-from shape_obs.tracking.model import ChainModel, RingModel
+from shape_obs.tracking.model import ChainModel, LatticeModel, RingModel
 from shape_obs.tracking.occluders import UNKNOWN_TIPS
 from shape_obs.tracking.state import new_rope
 from shape_obs.tracking.step import step_measured_chain
@@ -54,7 +54,9 @@ def judged_ribbon(curve: FittedCurve, observed: Region, expected_off: float) -> 
 
 
 def judged_sheet(form: FittedLattice, kink: float) -> FitQuality:
-    return validate_sheet(float(form.interpolated.mean()), assess_lattice(form.lattice), "mask", kink, (0, 0.0), 0.06)
+    return validate_sheet(
+        float(form.interpolated.mean()), assess_lattice(form.lattice), "mask", kink, (0, 0.0), 0.06, LatticeModel()
+    )
 
 
 class TestOffTheMask:
