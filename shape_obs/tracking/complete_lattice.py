@@ -138,7 +138,7 @@ def look_around(
     return (lifted if np.isfinite(lifted).all() else None), cut
 
 
-@compiled("(" + DEPTH_TYPE + ", UniTuple(i8, 4), u1[:,::1], i8, i8, f8[:,::1], f8, DepthLimits)")
+@compiled("(" + DEPTH_TYPE + ", UniTuple(i8, 4), u1[:,::1], i8, i8, f8[:,::1], f8, UniTuple(f8, 7))")
 def rim_depth(
     depth: DepthImages, edge: Edges, mask: npt.NDArray[np.uint8], left: int, top: int, rim: Array, width: float,
     limits: DepthLimits,
@@ -153,37 +153,39 @@ def rim_depth(
         top: Image row of its first pixel.
         rim: ``(P, 2)`` pixels, clockwise as seen.
         width: Of the object, pixels: depth is read within a share of it.
-        limits: Of what is read.
+        limits: See ``DepthLimits``.
 
     Returns:
         ``(P,)`` metres, all NaN if less than half of the outline has depth; ``(P,)`` whether the outline is that of
         something nearer that lies over the object, or of what is searched.
     """
+    nearer, at_edge, share, least, most, min_depth, edge_reach = limits
     every = max(len(rim) // _WINDOWS, 1)
     (millimetres, metres), count = depth, -(-len(rim) // every)
     known = millimetres.size > 0 or metres.size > 0
     z, cut, flags = np.full(len(rim), np.nan), np.zeros(len(rim), np.bool_), np.zeros(count, np.bool_)
     for k in range(count):
         u, v = rim[k * every, 0], rim[k * every, 1]
-        inside = edge[0] + limits.at_edge < u < edge[0] + edge[2] - 1 - limits.at_edge
-        flags[k] = not (inside and edge[1] + limits.at_edge < v < edge[1] + edge[3] - 1 - limits.at_edge)
+        inside = edge[0] + at_edge < u < edge[0] + edge[2] - 1 - at_edge
+        flags[k] = not (inside and edge[1] + at_edge < v < edge[1] + edge[3] - 1 - at_edge)
     if known:
-        reach = int(min(max(round(width * limits.depth_reach), limits.min_reach), limits.max_reach))
+        reach = int(min(max(round(width * share), least), most))
         under = np.empty(count)
         if millimetres.size > 0:
-            _read(millimetres, MILLIMETRE, mask, left, top, rim, every, reach, limits.min_depth, under)
+            _read(millimetres, MILLIMETRE, mask, left, top, rim, every, reach, min_depth, under)
         else:
-            _read(metres, 1.0, mask, left, top, rim, every, reach, limits.min_depth, under)
+            _read(metres, 1.0, mask, left, top, rim, every, reach, min_depth, under)
         if bridged(under):
+            steps = int(edge_reach)
             if millimetres.size > 0:
-                _look_over(millimetres, MILLIMETRE, mask, left, top, rim, every, under, limits, flags)
+                _look_over(millimetres, MILLIMETRE, mask, left, top, rim, every, under, nearer, steps, flags)
             else:
-                _look_over(metres, 1.0, mask, left, top, rim, every, under, limits, flags)
+                _look_over(metres, 1.0, mask, left, top, rim, every, under, nearer, steps, flags)
             for k in range(count):
                 near, far = 1 / under[k], 1 / under[(k + 1) % count]
-                steps = min(every, len(rim) - k * every)
-                for i in range(steps):
-                    z[k * every + i] = 1 / (near + (far - near) * i / steps)
+                between = min(every, len(rim) - k * every)
+                for i in range(between):
+                    z[k * every + i] = 1 / (near + (far - near) * i / between)
     for k in range(count):
         if flags[k] and (flags[k - 1] or flags[(k + 1) % count]):  # a single one is noise
             for i in range(-every // 2, every // 2 + 1):
@@ -209,7 +211,7 @@ def _read(
 @compiled
 def _look_over(
     depth: npt.NDArray[Any], unit: float, mask: npt.NDArray[np.uint8], left: int, top: int, rim: Array, every: int,
-    under: Array, limits: DepthLimits, flags: Mask,
+    under: Array, nearer: float, steps: int, flags: Mask,
 ) -> None:  # fmt: skip
     """Mark where the first depth that is seen outside of an outline is nearer than the object."""
     count = len(under)
@@ -218,7 +220,8 @@ def _look_over(
         u, v = rim[after, 0] - rim[before, 0], rim[after, 1] - rim[before, 1]
         reach = max((u * u + v * v) ** 0.5, 1e-9)
         at = rim[k * every, 0], rim[k * every, 1]
-        flags[k] = flags[k] or _covered(depth, unit, mask, left, top, at, (u / reach, v / reach), under[k], limits)
+        way = u / reach, v / reach
+        flags[k] = flags[k] or _covered(depth, unit, mask, left, top, at, way, under[k], nearer, steps)
 
 
 @compiled
@@ -231,11 +234,15 @@ def _covered(
     at: Pair,
     way: Pair,
     z: float,
-    limits: DepthLimits,
+    nearer: float,
+    steps: int,
 ) -> bool:
-    """Return whether the first depth that is seen outside of an outline, which runs along ``way``, is nearer than z."""
+    """Return whether the first depth that is seen outside of an outline, which runs along ``way``, is nearer than z.
+
+    So many steps of a pixel are looked at.
+    """
     u, v = at
-    for step in range(int(limits.edge_reach)):
+    for step in range(steps):
         x, y = (step + _OUTSIDE) * way[1], -(step + _OUTSIDE) * way[0]
         column, row = nearest_pixel(u + x), nearest_pixel(v + y)
         if not (0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]):
@@ -249,6 +256,6 @@ def _covered(
             across = depth[row, column] * unit  # the object's own, so far inside: a table aslant goes on as it does
             if 0 < across < FARTHEST and 2 / z > 1 / across:
                 z = min(z, 1 / (2 / z - 1 / across))
-        if abs(metres - z) > limits.nearer:
+        if abs(metres - z) > nearer:
             return metres < z
     return False

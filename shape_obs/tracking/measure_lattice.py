@@ -40,11 +40,11 @@ SHEET_WRONG: Final = (
     "the outline's corners are not where the lattice's are",
     "the sheet runs out of the camera's sight",
 )
-UNBENT: Final = (90.0, 0.0, 0.0, 0.0)
+UNBENT: Final = (90.0, 0.0, 0.0, 0.0)  # what ``assess_lattice`` returns of a rectangle
 _MAX_PIXEL: Final = 1e12  # farther off, a projected point counts as out of sight
 
 
-@compiled("(u1[:,::1], i8[:,::1], i8, i8, i8, " + DEPTH_TYPE + ", UniTuple(i8, 4), UniTuple(f8, 4), DepthLimits)")
+@compiled("(u1[:,::1], i8[:,::1], i8, i8, i8, " + DEPTH_TYPE + ", UniTuple(i8, 4), UniTuple(f8, 4), UniTuple(f8, 7))")
 def see_sheet(
     mask: Mask, runs: Indices, pieces: int, left: int, top: int, depth: DepthImages,
     edge: Edges, camera: Lens, limits: DepthLimits,

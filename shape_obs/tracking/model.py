@@ -13,13 +13,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 Model = npt.NDArray[Any]
 _Pair = tuple[float, float]
+#: How depth is read along an outline: ``nearer``, ``at_edge``, ``depth_reach``, ``min_reach``, ``max_reach``,
+#: ``min_depth`` and ``edge_reach`` of an ``OutlineModel``.
+DepthLimits = tuple[float, float, float, float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -157,18 +160,6 @@ class ChainModel(MotionModel):
     short_spreads: float = 2.5  # standard deviations of its length, by which it may be too short
 
 
-class DepthLimits(NamedTuple):
-    """How depth is read along an outline: the fields of an ``OutlineModel`` with these names."""
-
-    nearer: float
-    at_edge: float
-    depth_reach: float
-    min_reach: float
-    max_reach: float
-    min_depth: float
-    edge_reach: float
-
-
 @dataclass(frozen=True)
 class OutlineModel(MotionModel):
     """What is the same for outlines and for the outlines of sheets."""
@@ -184,7 +175,8 @@ class OutlineModel(MotionModel):
     @cached_property
     def depth_limits(self) -> DepthLimits:
         """What reading depth along an outline takes."""
-        return DepthLimits(*(getattr(self, name) for name in DepthLimits._fields))
+        reach = self.depth_reach, self.min_reach, self.max_reach
+        return self.nearer, self.at_edge, *reach, self.min_depth, self.edge_reach
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,8 @@ Array = npt.NDArray[np.float64]
 HARMONICS: Final = 12  # waves around the outline that are compared: on a noisy circle more of them mislead
 SHIFTS: Final = 128  # at which a peak is looked for, ten to the shortest wave
 PEAKS: Final = (0.5 / SHIFTS, 0.1 / SHIFTS)  # turns: half-widths of the parabolas through it, one after the other
-_ANGLES = 2 * np.pi * np.outer(np.arange(SHIFTS) / SHIFTS, np.arange(1, HARMONICS + 1))
-#: Cosines and sines of the waves at each of the shifts: ``(128, 2, 12)``.
-WAVES: Final = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
+_ANGLES = 2 * np.pi * np.outer(np.arange(SHIFTS) / SHIFTS, np.arange(1, HARMONICS + 1))  # radians
+WAVES: Final = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)  # (128, 2, 12) cosines and sines at each shift
 _NEARBY: Final = SHIFTS // 8  # shifts to either side of the expected one that are tried first
 _STEPS: Final = 5  # of Gauss-Newton
 _COMPARED: Final = 48  # of the nodes, at least

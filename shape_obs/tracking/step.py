@@ -193,7 +193,7 @@ def _show(now: Any, stations: Array) -> None:
 
 @compiled(
     "(u1[:,::1], i8[:,::1], i8, i8, i8, " + DEPTH_TYPE + ", UniTuple(i8, 4), UniTuple(f8, 4), i8, f8[:,::1], "
-    "f8[:,::1], b1, RingConstants[::1], DepthLimits)"
+    "f8[:,::1], b1, RingConstants[::1], UniTuple(f8, 7))"
 )
 def step_ring_in_mask(
     mask: Mask, runs: Indices, pieces: int, left: int, top: int, depth: DepthImages, edge: Edges, camera: Lens,
