@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Final, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +21,8 @@ from shape_obs.image.outline_tracing import trace_hole
 from shape_obs.image.region import Region
 from shape_obs.tracking.complete_lattice import look_around, rim_depth
 from shape_obs.tracking.complete_ring import complete_outline, hidden_pieces, nearest_places, sticks_out
-from shape_obs.tracking.measure_ring import MIN_SAMPLES, PIECES, SIGMA, fit_ring_in_mask
+from shape_obs.tracking.measure_ring import MIN_SAMPLES, PIECES, fit_ring_in_mask
+from shape_obs.tracking.model import RingModel
 from shape_obs.tracking.predict import Fit, Prediction
 from shape_obs.tracking.register_ring import begin_outline, follow_outline, match_outline, renumber_outline
 from shape_obs.tracking.register_ring_in_space import blend_space, index_shift_space
@@ -34,13 +34,7 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
-# Samples from node to node, for any N: 6 px. Closer, and the nodes follow the pixels (at 4 px they jitter by a
-# sixth more); farther, and they cut corners (at 8 px garments lie 0.16 px off instead of 0.13).
-_NODE_SPACING: Final = 3.0
-_THIN: Final = 1.5  # widths from node to node at most: farther, and a node's samples are those of the other side too
-_NODES: Final = (24, 192)
-_HOLLOW: Final = 0.05  # of what the outline encloses; drawn shapes without a hole have at most 0.01
-_MIN_WIDTH: Final = 1.25  # in samples: of outlines of 2 px, one in three has its two sides mixed up; of 3 px, none
+_NODES: Final = (24, 192)  # at least and at most, for any n
 
 
 @dataclass(frozen=True)
@@ -56,6 +50,8 @@ class Contour(Configuration, kind="contour"):
         ring: The object is a closed band. In images an outline that encloses no hole is then refused: something lies
             over the band, and what is seen is the outline of a part of it, inside and outside in one.
     """
+
+    model: ClassVar[RingModel] = RingModel()
 
     n: int = 32
     hole: int | None = None
@@ -89,19 +85,19 @@ class Contour(Configuration, kind="contour"):
             topology = self._topology(observed, outline)
             curve, miss = self._run_som(observed, outline.points[0], topology)
             curve = self.apply_index_order(curve, observed.seen(curve.points, target), target)
-            nodes, (reason, quality) = curve.even(topology.size), validate_outline(observed, miss)
+            nodes, (reason, quality) = curve.even(topology.size), validate_outline(observed, miss, self.model)
             space, _ = self._lift(observed, curve.points, scene)
             if space is not None:
                 curve, nodes = _begun_at(curve, space, 0.0, topology.size, None)
         else:
             topology = prediction.topology
             curve, nodes, miss = self._track(observed, prediction.nodes[0], prediction, scene)
-            reason, quality = validate_outline(observed, miss)
+            reason, quality = validate_outline(observed, miss, self.model)
             if reason or abs(curve.arc[-1] / prediction.size - 1) > self.model.max_size_change:
                 outline = observed.outline_curve(self.hole)
-                start = match_outline(outline, prediction)[0].points[0]
+                start = match_outline(outline, prediction, self.model)[0].points[0]
                 curve, nodes, miss = self._track(observed, start, prediction, scene)
-                reason, quality = validate_outline(observed, miss)
+                reason, quality = validate_outline(observed, miss, self.model)
         return Fit(curve, quality, reason, nodes, topology, float(curve.arc[-1]), width, observed, width)
 
     def _follow(self, region: Region, prediction: Prediction, scene: Scene) -> Fit | None:
@@ -110,12 +106,12 @@ class Contour(Configuration, kind="contour"):
         if known is None:
             return None
         followed, curve, space, arc, nodes, known, turning, miss, width = step_ring_in_mask(
-            *own, *around, region.areas[0], prediction.nodes, known, _MIN_WIDTH * SAMPLED,
-            _HOLLOW if self.ring else -math.inf,
+            *own, *around, region.areas[0], prediction.nodes, known, self.ring, self.model.record,
+            self.model.depth_limits,
         )  # fmt: skip
         if not followed:
             return None
-        (reason, quality), size = validate_outline(region, miss), arc.item(len(arc) - 1)
+        (reason, quality), size = validate_outline(region, miss, self.model), arc.item(len(arc) - 1)
         if reason or abs(size / prediction.size - 1) > self.model.max_size_change:
             return None
         form = FittedCurve(
@@ -134,31 +130,34 @@ class Contour(Configuration, kind="contour"):
         curve, miss = self._run_som(observed, start, prediction.topology)
         space, cut = self._lift(observed, curve.points, scene)
         if not isinstance(observed, Region):
-            return *match_outline(curve, prediction), miss
+            return *match_outline(curve, prediction, self.model), miss
         known = prediction.hints.reference
         in_space = known is not None and known.shape[1] == 3
         if in_space and space is None:  # numbered by its place in the image, if all of it is seen
-            found, nodes = match_outline(curve, prediction._replace(hints=TrackHints()))
+            found, nodes = match_outline(curve, prediction._replace(hints=TrackHints()), self.model)
             return replace(found, hints=TrackHints(reference=known)), nodes, np.inf if cut.any() else miss
         own, laid = space if in_space else None, known
         found, nodes = curve, prediction.nodes
         if not cut.any() and own is None:
-            found, nodes = match_outline(curve, prediction)
+            found, nodes = match_outline(curve, prediction, self.model)
         if laid is not None and own is None and not cut.any():
-            cut, laid = hidden_pieces(curve.points, curve.arc, nodes, laid, prediction.nodes)
+            cut, laid = hidden_pieces(curve.points, curve.arc, nodes, laid, prediction.nodes, self.model.record)
         if cut.any() and laid is not None:
             lifted = curve if own is None else FittedCurve.through(own, np.zeros(len(own), bool), True)
-            whole = complete_outline(curve, lifted, cut, laid, prediction.nodes)
+            whole = complete_outline(curve, lifted, cut, laid, prediction.nodes, self.model)
             if whole is None:
                 return curve, prediction.nodes, np.inf
             completed, begin = whole
             camera, there = scene.intrinsics, completed.points
             pixels = there if own is None or camera is None else camera.project(there)
-            if own is None or sticks_out(pixels[completed.interpolated], curve.points):
+            hidden = pixels[completed.interpolated]
+            if own is None or sticks_out(hidden, curve.points, self.model.inside[0]):
                 curve = FittedCurve.through(pixels, np.zeros(len(pixels), bool), True)
                 return *_begun_at(curve, there, begin, len(nodes), known), miss
         if own is not None:
-            points, there, arc, nodes, new, turning, _ = follow_outline(curve.points, own, prediction.reference, nodes)
+            points, there, arc, nodes, new, turning, _ = follow_outline(
+                curve.points, own, prediction.reference, nodes, self.model.record
+            )
             found = FittedCurve(points, np.zeros(len(points), bool), arc, True, space=there)
             reference = known if cut.any() else new  # what touches it may hide a little of it
             found = replace(found, hints=TrackHints(reference=reference, turning=turning))
@@ -173,26 +172,27 @@ class Contour(Configuration, kind="contour"):
         """Return an outline ``(P, 2)`` in metres, None without depth, and where something lies over it, ``(P,)``."""
         if not isinstance(region, Region) or self.hole is not None:
             return None, np.zeros(len(points), bool)
-        return look_around(region, points, scene.images, scene.intrinsics, scene.edge)
+        return look_around(region, points, scene.images, scene.intrinsics, scene.edge, self.model.depth_limits)
 
     def _run_som(self, observed: Observed, start: Array, topology: Topology) -> tuple[FittedCurve, float]:
         """Run the self-organising map on the outline from its place nearest to ``start``; return curve and miss."""
+        sigma = self.model.sigma
         if isinstance(observed, Region):
             traced = observed.traced_outline(self.hole)
-            points, miss = fit_ring_in_mask(traced.traced, traced.hole, start, topology.size)
+            points, miss = fit_ring_in_mask(traced.traced, traced.hole, start, topology.size, sigma)
         else:
             samples, outline = cast("Cloud", observed).outline_samples(), observed.outline_curve()
             nearest = np.argmin(np.sum((outline.points - start) ** 2, axis=1))
             begin = outline.starting_at(float(outline.arc[nearest])).even(topology.size)
-            points = catmull_rom(run_som(samples, begin, topology, (SIGMA,)), PIECES, True)
+            points = catmull_rom(run_som(samples, begin, topology, (sigma,)), PIECES, True)
             miss = outline_miss(samples.points, points) / samples.scale
         return FittedCurve.through(points, np.zeros(len(points), bool), True), miss
 
     def _topology(self, observed: Observed, outline: FittedCurve) -> Ring:
         """Return a ring with a node every three samples, 24 to 192 of them; closer on what is thin."""
-        spacing = _NODE_SPACING * (SAMPLED if observed.dimension == 2 else outline.size / len(outline.points))
+        spacing = self.model.node_spacing * (SAMPLED if observed.dimension == 2 else outline.size / len(outline.points))
         if observed.dimension == 2 and self.hole is None:
-            spacing = min(spacing, _THIN * observed.width)
+            spacing = min(spacing, self.model.max_spacing * observed.width)
         return Ring(int(np.clip(round(outline.size / spacing), *_NODES)))
 
     def _rejection_reason(self, observed: Observed) -> str:
@@ -205,12 +205,13 @@ class Contour(Configuration, kind="contour"):
             count = len(observed.outline_curve().points)
         else:
             count = -(-len(region.traced_outline(self.hole).traced) // SAMPLED)
-            if self.ring and region.hollow_share < _HOLLOW:
+            if self.ring and region.hollow_share < self.model.min_hollow:
                 return "the mask encloses no hole: something lies over the ring, or it is open"
         if count < MIN_SAMPLES:
             return f"the outline is too small: {count} samples, at least {MIN_SAMPLES} are needed"
-        if region is not None and self.hole is None and region.width < _MIN_WIDTH * SAMPLED:
-            thin = f"too thin for an outline (at least {_MIN_WIDTH * SAMPLED:.2g})"
+        least = self.model.min_width * SAMPLED
+        if region is not None and self.hole is None and region.width < least:
+            thin = f"too thin for an outline (at least {least:.2g})"
             return f"the mask is {region.width:.2g} px wide: {thin}"
         return ""
 

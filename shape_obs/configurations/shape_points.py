@@ -19,6 +19,7 @@ from shape_obs.point_cloud.local_depth import median_depth
 from shape_obs.shape import Shape
 from shape_obs.tracking.belief import error_on_sheet, errors_in_cloud, known_layout, point_errors, stereo_noise
 from shape_obs.tracking.missing import OnInvalid, fill_invalid
+from shape_obs.tracking.model import LatticeModel
 from shape_obs.tracking.predict import Fit
 from shape_obs.tracking.validation import validate_gaps
 
@@ -85,10 +86,10 @@ def _doubt(
     if isinstance(found.form, FittedLattice) and found.form.ambiguity:  # a rope may begin again
         return found.form.ambiguity
     equal = spec.spacing == "m" and found.observed.dimension == 2 and found.centres is None
-    if camera is None or not equal or not isinstance(spec.layout, Grid):
+    if camera is None or not equal or not isinstance(spec.layout, Grid) or not isinstance(spec.model, LatticeModel):
         return ""
     error = error_on_sheet(float(points3d[valid, 2].mean()), camera)
-    return validate_gaps(points3d.astype(np.float64), valid, spec.layout, error)
+    return validate_gaps(points3d.astype(np.float64), valid, spec.layout, error, spec.model)
 
 
 def _is_metric_curve(found: Fit) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -39,23 +39,19 @@ from shape_obs.tracking.measure_lattice import (
     lay_sheet,
     view_sheet,
 )
+from shape_obs.tracking.model import LatticeModel
 from shape_obs.tracking.predict import Fit, Prediction
-from shape_obs.tracking.register_lattice import STRAYED, match_corners
+from shape_obs.tracking.register_lattice import match_corners
 from shape_obs.tracking.sheet_view import KnownSheet, SheetView, doubtful_places
-from shape_obs.tracking.validation import MAX_HIDDEN, FitQuality, validate_sheet
+from shape_obs.tracking.validation import FitQuality, validate_sheet
 
 Array = npt.NDArray[np.float64]
 
 _GRID: Final = Grid(FINE, FINE)  # the nodes that are kept from frame to frame, for any lattice that is sampled
-_MIN_SIDE: Final = 6.0  # in units of the resolution: what is narrower has no two sides that can be distinguished
-_MAX_ASPECT: Final = 8.0  # length over width; what is longer is a ribbon, whose corners are its ends
-_MAX_CUT: Final = 0.03  # of the outline
 _NEAREST: Final = np.empty(0, np.int64)  # the corners nearest to the predicted ones
-_NO_NODES, _NO_SIDES = np.empty((0, 2)), np.zeros(4)
+_NO_NODES, _NO_SIDES = np.empty((0, 2)), np.zeros(4)  # without a track
 _NOTHING_OVER: Final = "the sheet is smaller than it was, and nothing lies over the rest"
-_BARELY_CUT: Final = 0.1  # of the outline, next to which something nearer is seen, as a gripper is
 _COVERED: Final = "something lies over the sheet's border"
-_MIN_PIECE: Final = 0.8  # of the mask: the largest piece, since a sheet cannot be connected over a gap
 
 
 @dataclass(frozen=True)
@@ -77,11 +73,13 @@ class Surface(Configuration, kind="surface"):
             move single corners give more.
     """
 
+    model: ClassVar[LatticeModel] = LatticeModel()
+
     rows: int = 4
     cols: int = 8
     ends: Ends | None = None
     epochs: int = 0
-    freedom: float = STRAYED
+    freedom: float = 0.06  # cloths that bend and move by 30 px a frame: up to 0.025; a hand 12 px in radius: 0.11
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -99,7 +97,7 @@ class Surface(Configuration, kind="surface"):
 
     def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Lay a Coons patch between the predicted corners; put back what is hidden; else take the best four corners."""
-        view = view_sheet(observed, scene) if isinstance(observed, Region) else None
+        view = view_sheet(observed, scene, self.model) if isinstance(observed, Region) else None
         reason = self._rejection_reason(
             observed, observed.width if view is None else view.width, prediction is not None
         )
@@ -124,13 +122,15 @@ class Surface(Configuration, kind="surface"):
         if scene.intrinsics is not None and scene.depth is not None:
             lattice = form.points if observed.dimension == 2 else scene.intrinsics.project(form.points)
             region = observed.parts[-1]  # of a cloud too: the mask that it was seen in
-            isometry = Isometry.in_image(lattice, form.interpolated, region, scene.images, scene.intrinsics, size)
+            isometry = Isometry.in_image(
+                lattice, form.interpolated, region, scene.images, scene.intrinsics, size, self.model
+            )
         elif observed.dimension == 3:
-            isometry = Isometry.in_space(form.points, size)
+            isometry = Isometry.in_space(form.points, size, self.model)
         else:
             return found
-        uncertain, share = isometry.verdict()
-        flags = form.interpolated | isometry.uncertain
+        uncertain, share = isometry.verdict(self.model)
+        flags = form.interpolated | (isometry.off > self.model.uncertain * isometry.gap)
         form = replace(form, interpolated=flags, off=isometry.off, ambiguity=uncertain)
         return found._replace(form=form, quality=found.quality * share, reason="" if tracked else uncertain)
 
@@ -144,7 +144,7 @@ class Surface(Configuration, kind="surface"):
         found = self._fit_hidden(view, prediction, scene)
         if found.reason and not covered:
             found = self._fit_whole(view, prediction, view.best_corners(), scene)
-        if found.reason and view.camera is not None and view.cut.mean() < _BARELY_CUT:
+        if found.reason and view.camera is not None and view.cut.mean() < self.model.barely_cut:
             found = self._fit_whole(view, prediction, _NEAREST, scene, buckled=True)
         return found if not found.reason or whole.reason == _COVERED else whole
 
@@ -165,7 +165,7 @@ class Surface(Configuration, kind="surface"):
         metric = before.shape[1] == 3
         (left, top), mask = view.region.window[:2], view.region.mask
         seen = view.rim, view.turn, view.candidates, view.step, view.grain, view.space, corners, predicted
-        rest = before, sides, mask, left, top, float(self.rows), float(self.cols), buckled
+        rest = before, sides, mask, left, top, float(self.rows), float(self.cols), buckled, self.model.record
         if view.camera is None or view.camera.model == "pinhole":
             judged, patch, kink, number, stray = lay_sheet(*seen, view.lens, *rest)
         else:
@@ -182,7 +182,7 @@ class Surface(Configuration, kind="surface"):
         if not metric and patch.shape[1] == 3:
             measures = assess_lattice(flattened(patch).reshape(FINE, FINE, 2))
         corner = (0, 0.0) if metric and not buckled else (number, stray)  # in space the lengths of the sides say more
-        verdict = validate_sheet(off, measures, Region.noun, math.degrees(kink), corner, self.freedom)
+        verdict = validate_sheet(off, measures, Region.noun, math.degrees(kink), corner, self.freedom, self.model)
         return self._finish(view, lattice, (down, right), hints, verdict, hidden)
 
     def _fit_hidden(self, view: SheetView, prediction: Prediction, scene: Scene) -> Fit:
@@ -199,15 +199,15 @@ class Surface(Configuration, kind="surface"):
         hidden, reason = ~view.region.carries(lattice), ""
         if not known.metric:
             gap = min(known.sides[0] / self.cols, known.sides[1] / self.rows)
-            hidden |= doubtful_places(known.lattice, patch, gap)
+            hidden |= doubtful_places(known.lattice, patch, gap, self.model.record)
         if border.folded:
             hidden |= beneath_fold(border.folded, known.sides)
-        elif known.metric and scene.depth is not None and view.cut.mean() < _BARELY_CUT:
+        elif known.metric and scene.depth is not None and view.cut.mean() < self.model.barely_cut:
             reason = _NOTHING_OVER if view.sees_through(patch, lattice, scene.depth) else ""
         if reason:
             return Fit(reason=reason)
-        if (share := float(hidden.mean())) > MAX_HIDDEN:
-            reason = f"{share:.0%} of the sheet is hidden (at most {MAX_HIDDEN:.0%})"
+        if (share := float(hidden.mean())) > self.model.max_hidden:
+            reason = f"{share:.0%} of the sheet is hidden (at most {self.model.max_hidden:.0%})"
         verdict = FitQuality(reason, float(border.seen.mean()) ** 0.5)
         gauges = lattice_gauges(lattice.reshape(FINE, FINE, 2))
         return self._finish(view, lattice, gauges, known.seen_beside(border, patch), verdict, hidden)
@@ -249,21 +249,22 @@ class Surface(Configuration, kind="surface"):
         off = float(form.interpolated.mean())
         # A cloud is assessed as it lies unrolled, where a bent side does not wind.
         measures = assess_lattice(flat.reshape(FINE, FINE, 2))
-        reason, quality = validate_sheet(off, measures, cloud.noun, math.degrees(kink), stray, self.freedom)
+        kinked = math.degrees(kink)
+        reason, quality = validate_sheet(off, measures, cloud.noun, kinked, stray, self.freedom, self.model)
         return Fit(form, quality, reason, form.points, _GRID, form.size, 0.0, cloud, 0.0)
 
     def _rejection_reason(self, observed: Observed, width: float, tracked: bool) -> str:
         """Return why an object cannot be a sheet: a speck, a ribbon, pieces, corners out of sight, or no outline."""
-        unit = observed.unit
-        if width < _MIN_SIDE * observed.resolution:
+        unit, model = observed.unit, self.model
+        if width < model.min_width * observed.resolution:
             return f"the {observed.noun} is {width:.3g} {unit} wide: too small for a sheet"
-        if not tracked and observed.length > _MAX_ASPECT * width:
+        if not tracked and observed.length > model.max_aspect * width:
             return f"the {observed.noun} is {observed.length:.4g} x {width:.4g} {unit}: too slender for a sheet"
         if isinstance(observed, Region):
             piece = observed.areas[0] / observed.area
-            if piece < _MIN_PIECE:
+            if piece < model.min_piece:
                 return f"the mask falls into {observed.pieces} pieces, and the largest is {piece:.0%} of it"
-            if not tracked and observed.cut_share > _MAX_CUT:
+            if not tracked and observed.cut_share > model.max_cut:
                 cut = f"{observed.cut_share:.0%} of the outline lies on the image's edge"
                 return f"{cut}: the sheet's corners are out of sight"
         elif not np.ptp(observed.sheet_outline()[1], axis=0).any():

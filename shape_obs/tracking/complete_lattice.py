@@ -20,6 +20,7 @@ from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.rotation import fit
 from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.point_cloud.local_depth import SPARSE, bridged, gather_depth, middle_depth, room
+from shape_obs.tracking.model import DepthLimits, LatticeModel
 
 if TYPE_CHECKING:
     from shape_obs.camera import Intrinsics
@@ -33,21 +34,8 @@ Edges = tuple[int, int, int, int]
 Lens = tuple[float, float, float, float]
 Pair = tuple[float, float]
 
-# A border is followed from a visible corner while it lies within so many pixels, in addition to a share of the way, of
-# where the others put it; the last points before it leaves are not believed, nor are those next to a rounded corner.
-_ASIDE: Final = 2.0
-_LAST: Final = 1
-_ROUND: Final = 1
-_LEAST_SEEN: Final = 0.3  # of the border
-_MISFIT: Final = 0.06  # of the size: the known border lies over what is seen of it at least so well
+_OUTSIDE: Final = 1.5  # pixels from an outline to the first place beyond it, whose pixel is not the object's own
 _WINDOWS: Final = 96  # places along an outline at which depth is read, at least; half as many more at most
-_AT_EDGE: Final = 0.8  # pixels
-_REACHES: Final = 8.0  # depth along an outline is read within this share of the object's width
-_LEAST_REACH: Final = 2
-_MOST_REACH: Final = 5
-_MIN_KNOWN: Final = 0.5  # of the pixels around a point of an outline: a plane through fewer goes astray next to a hole
-_OUTWARDS: Final = 7  # pixels beyond an outline: a camera has no depth next to an edge
-_NEARER: Final = 0.008  # metres: what is nearer by more lies over the object
 
 
 class Border(NamedTuple):
@@ -66,7 +54,7 @@ class Border(NamedTuple):
 
 def complete_border(
     expected: Array, known: Array, rim: Array, space: Array, corners: Indices, cut: Mask, kinks: Mask,
-    sides: Array, slack: Array, aside: float,
+    sides: Array, slack: Array, bend: float, model: LatticeModel,
 ) -> Border | None:  # fmt: skip
     """Return the whole border of a sheet of which a part is seen; None if too little is known.
 
@@ -80,8 +68,10 @@ def complete_border(
         kinks: ``(400,)`` whether it turns there as no sheet's side does.
         sides: ``(4,)`` the known lengths.
         slack: ``(4,)`` by which a length may be off.
-        aside: By how much of the way the border may lie off its form.
+        bend: By how much of the way the border may be off its form.
+        model: The constants.
     """
+    trimmed = int(model.trimmed)
     lines = [np.ascontiguousarray(np.concatenate([points, points[:1]])) for points in (rim, space)]
     arc = arc_length(lines[1])
     visible = [k for k in range(4) if corners[k] >= 0]
@@ -93,26 +83,26 @@ def complete_border(
         length = sides[side]
         if corners[other] >= 0:
             between = way * (arc[corners[other]] - arc[corners[k]]) % arc[-1]
-            length = between if abs(between - length) < 2 * slack[side] else length
+            length = between if abs(between - length) < model.own_length * slack[side] else length
         points = (SIDE * k + way * np.arange(SIDE + 1)) % (4 * SIDE)
         at = (arc[corners[k]] + way * np.linspace(0, length, SIDE + 1)) % arc[-1]
         pixels, places = (interpolate(line, arc, at) for line in lines)
         far = np.linalg.norm(placed[points] - placed[points[0]], axis=1)
         off = np.linalg.norm(pixels - pixels[0] - (placed[points] - placed[points[0]]), axis=1)
         covered = (cut | kinks)[np.searchsorted(arc, at, side="right").clip(1, RIM) - 1]
-        wrong = (off > _ASIDE + aside * far) | covered
-        good = points[: SIDE + 1 if not wrong.any() else max(int(np.argmax(wrong)) - _LAST, 0)]
+        wrong = (off > model.border_noise + bend * far) | covered
+        good = points[: SIDE + 1 if not wrong.any() else max(int(np.argmax(wrong)) - trimmed, 0)]
         found[good], seen[good] = places[: len(good)], True
-    if seen.mean() < _LEAST_SEEN:
+    if seen.mean() < model.min_seen:
         return None
     known = stretched(known, [k for k in range(4) if corners[k] < 0], sides)
     laid = fit(known[seen], found[seen], scaled=space.shape[1] == 2).apply(known)
     index = np.arange(4 * SIDE)
-    sharp = seen & (abs((index + SIDE // 2) % SIDE - SIDE // 2) > _ROUND)
+    sharp = seen & (abs((index + SIDE // 2) % SIDE - SIDE // 2) > trimmed)
     if not sharp.any():
         return None
     off = found - laid
-    if np.sqrt((off[sharp] ** 2).sum(axis=1).mean()) > _MISFIT * sides.mean():
+    if np.sqrt((off[sharp] ** 2).sum(axis=1).mean()) > model.max_misfit * sides.mean():
         return None
     off = [np.interp(index, index[sharp], column[sharp], period=4 * SIDE) for column in off.T]
     points, folded = laid + np.stack(off, axis=1), []
@@ -126,8 +116,9 @@ def complete_border(
 
 
 def look_around(
-    region: Region, points: Array, depth: DepthImages, intrinsics: Intrinsics | None, edge: Window | None
-) -> tuple[Array | None, Mask]:
+    region: Region, points: Array, depth: DepthImages, intrinsics: Intrinsics | None, edge: Window | None,
+    limits: DepthLimits,
+) -> tuple[Array | None, Mask]:  # fmt: skip
     """Return an outline ``(P, 2)`` in space, ``(P, 3)`` or None without depth, and where it is not the object's own.
 
     Args:
@@ -136,19 +127,21 @@ def look_around(
         depth: The frame's, see ``frame.depth_images``; both empty without depth or a camera.
         intrinsics: The projection; None if there is none.
         edge: The part of the image that is searched; None for the region's window.
+        limits: See ``rim_depth``.
     """
     at = region.window.left, region.window.top
     searched = cast("Edges", tuple(edge or region.window))
-    z, cut = rim_depth(depth, searched, region.mask, *at, points, region.width)
+    z, cut = rim_depth(depth, searched, region.mask, *at, points, region.width, limits)
     if intrinsics is None or np.isnan(z[0]):
         return None, cut
     lifted = intrinsics.deproject(points, z)
     return (lifted if np.isfinite(lifted).all() else None), cut
 
 
-@compiled("(" + DEPTH_TYPE + ", UniTuple(i8, 4), u1[:,::1], i8, i8, f8[:,::1], f8)")
+@compiled("(" + DEPTH_TYPE + ", UniTuple(i8, 4), u1[:,::1], i8, i8, f8[:,::1], f8, UniTuple(f8, 7))")
 def rim_depth(
-    depth: DepthImages, edge: Edges, mask: npt.NDArray[np.uint8], left: int, top: int, rim: Array, width: float
+    depth: DepthImages, edge: Edges, mask: npt.NDArray[np.uint8], left: int, top: int, rim: Array, width: float,
+    limits: DepthLimits,
 ) -> tuple[Array, Mask]:  # fmt: skip
     """Return the depth along an outline, and where the object may go on beyond it.
 
@@ -160,36 +153,39 @@ def rim_depth(
         top: Image row of its first pixel.
         rim: ``(P, 2)`` pixels, clockwise as seen.
         width: Of the object, pixels: depth is read within a share of it.
+        limits: See ``DepthLimits``.
 
     Returns:
         ``(P,)`` metres, all NaN if less than half of the outline has depth; ``(P,)`` whether the outline is that of
         something nearer that lies over the object, or of what is searched.
     """
+    nearer, at_edge, share, least, most, min_depth, edge_reach = limits
     every = max(len(rim) // _WINDOWS, 1)
     (millimetres, metres), count = depth, -(-len(rim) // every)
     known = millimetres.size > 0 or metres.size > 0
     z, cut, flags = np.full(len(rim), np.nan), np.zeros(len(rim), np.bool_), np.zeros(count, np.bool_)
     for k in range(count):
         u, v = rim[k * every, 0], rim[k * every, 1]
-        inside = edge[0] + _AT_EDGE < u < edge[0] + edge[2] - 1 - _AT_EDGE
-        flags[k] = not (inside and edge[1] + _AT_EDGE < v < edge[1] + edge[3] - 1 - _AT_EDGE)
+        inside = edge[0] + at_edge < u < edge[0] + edge[2] - 1 - at_edge
+        flags[k] = not (inside and edge[1] + at_edge < v < edge[1] + edge[3] - 1 - at_edge)
     if known:
-        reach = int(min(max(round(width / _REACHES), _LEAST_REACH), _MOST_REACH))
+        reach = int(min(max(round(width * share), least), most))
         under = np.empty(count)
         if millimetres.size > 0:
-            _read(millimetres, MILLIMETRE, mask, left, top, rim, every, reach, under)
+            _read(millimetres, MILLIMETRE, mask, left, top, rim, every, reach, min_depth, under)
         else:
-            _read(metres, 1.0, mask, left, top, rim, every, reach, under)
+            _read(metres, 1.0, mask, left, top, rim, every, reach, min_depth, under)
         if bridged(under):
+            steps = int(edge_reach)
             if millimetres.size > 0:
-                _look_over(millimetres, MILLIMETRE, mask, left, top, rim, every, under, flags)
+                _look_over(millimetres, MILLIMETRE, mask, left, top, rim, every, under, nearer, steps, flags)
             else:
-                _look_over(metres, 1.0, mask, left, top, rim, every, under, flags)
+                _look_over(metres, 1.0, mask, left, top, rim, every, under, nearer, steps, flags)
             for k in range(count):
                 near, far = 1 / under[k], 1 / under[(k + 1) % count]
-                steps = min(every, len(rim) - k * every)
-                for i in range(steps):
-                    z[k * every + i] = 1 / (near + (far - near) * i / steps)
+                between = min(every, len(rim) - k * every)
+                for i in range(between):
+                    z[k * every + i] = 1 / (near + (far - near) * i / between)
     for k in range(count):
         if flags[k] and (flags[k - 1] or flags[(k + 1) % count]):  # a single one is noise
             for i in range(-every // 2, every // 2 + 1):
@@ -200,7 +196,7 @@ def rim_depth(
 @compiled
 def _read(
     depth: npt.NDArray[Any], unit: float, mask: npt.NDArray[np.uint8], left: int, top: int, rim: Array, every: int,
-    reach: int, out: Array,
+    reach: int, least: float, out: Array,
 ) -> None:  # fmt: skip
     """Fill the depth under every few points of an outline, metres."""
     step = 2 if reach >= SPARSE else 1
@@ -209,13 +205,13 @@ def _read(
     for k in range(len(out)):
         u, v = rim[k * every, 0], rim[k * every, 1]
         inside, known = gather_depth(depth, unit, mask, left, top, u, v, reach, step, near, x, y)
-        out[k] = middle_depth(near, x, y, w, spare, known, max(_MIN_KNOWN * inside, 1), True) * unit
+        out[k] = middle_depth(near, x, y, w, spare, known, max(least * inside, 1), True) * unit
 
 
 @compiled
 def _look_over(
     depth: npt.NDArray[Any], unit: float, mask: npt.NDArray[np.uint8], left: int, top: int, rim: Array, every: int,
-    under: Array, flags: Mask,
+    under: Array, nearer: float, steps: int, flags: Mask,
 ) -> None:  # fmt: skip
     """Mark where the first depth that is seen outside of an outline is nearer than the object."""
     count = len(under)
@@ -224,7 +220,8 @@ def _look_over(
         u, v = rim[after, 0] - rim[before, 0], rim[after, 1] - rim[before, 1]
         reach = max((u * u + v * v) ** 0.5, 1e-9)
         at = rim[k * every, 0], rim[k * every, 1]
-        flags[k] = flags[k] or _covered(depth, unit, mask, left, top, at, (u / reach, v / reach), under[k])
+        way = u / reach, v / reach
+        flags[k] = flags[k] or _covered(depth, unit, mask, left, top, at, way, under[k], nearer, steps)
 
 
 @compiled
@@ -237,11 +234,16 @@ def _covered(
     at: Pair,
     way: Pair,
     z: float,
+    nearer: float,
+    steps: int,
 ) -> bool:
-    """Return whether the first depth that is seen outside of an outline, which runs along ``way``, is nearer than z."""
+    """Return whether the first depth that is seen outside of an outline, which runs along ``way``, is nearer than z.
+
+    So many steps of a pixel are looked at.
+    """
     u, v = at
-    for step in range(_OUTWARDS):
-        x, y = (step + 1.5) * way[1], -(step + 1.5) * way[0]
+    for step in range(steps):
+        x, y = (step + _OUTSIDE) * way[1], -(step + _OUTSIDE) * way[0]
         column, row = nearest_pixel(u + x), nearest_pixel(v + y)
         if not (0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]):
             return False
@@ -254,6 +256,6 @@ def _covered(
             across = depth[row, column] * unit  # the object's own, so far inside: a table aslant goes on as it does
             if 0 < across < FARTHEST and 2 / z > 1 / across:
                 z = min(z, 1 / (2 / z - 1 / across))
-        if abs(metres - z) > _NEARER:
+        if abs(metres - z) > nearer:
             return metres < z
     return False

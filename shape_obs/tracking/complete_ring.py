@@ -7,7 +7,7 @@ outline turns as it did not before. An object that changes its form by itself ha
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -16,29 +16,22 @@ from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import arc_length, closed, even_around, interpolate
 from shape_obs.geometry.rotation import fit, laid_flat, similarity
+from shape_obs.tracking.model import Model, RingConstants, RingModel  # noqa: F401 - the second in a signature
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-# An outline that lies so far within the known one, in pixels and as a share of its radius, is not the object's own.
-_WITHIN: Final = (1.2, 0.01)
-_STEPS: Final = 8  # of the search for where the known outline lies
-_STRAY: Final = 2.0  # median distances: what lies farther off counts for little in it
-_NOISE: Final = 0.5  # pixels
+_STEPS: Final = 8  # of the search for where the known outline is
 _LEAST_NODES: Final = 64  # at which outlines are compared
-_TURN: Final = 0.28  # radians by which the outline turns more than the known one where something begins to hide it
-_ALMOST: Final = 0.4
-_CHORD: Final = 1 / 16  # of the outline to either side, over which a turn is measured
-_BESIDE: Final = 3  # nodes from where it leaves the known outline to that turn, at most
-_TRIMMED: Final = 4  # points of a piece of an outline next to what hides it, which are not believed
-_LEAST_OUTLINE: Final = 0.4  # of an outline that must be seen in one piece
-_SAMPLES: Final = 64
+_FEWEST: Final = 8  # points of a visible piece
+_SAMPLES: Final = 64  # of a visible piece, that are compared with the known outline
 _STARTS: Final = 128  # at which the piece may begin, before these are refined
-_PLACE: Final = 0.005  # how much a place weighs against the form
 
 
-@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1])")
-def hidden_pieces(points: Array, arc: Array, nodes: Array, known: Array, expected: Array) -> tuple[Mask, Array]:
+@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], RingConstants[::1])")
+def hidden_pieces(
+    points: Array, arc: Array, nodes: Array, known: Array, expected: Array, model: Model
+) -> tuple[Mask, Array]:
     """Return where an outline is not the object's own, ``(P,)``, and the known outline where it lies now, ``(L, 2)``.
 
     Args:
@@ -47,24 +40,27 @@ def hidden_pieces(points: Array, arc: Array, nodes: Array, known: Array, expecte
         nodes: ``(K, 2)`` pixels, equally spaced around it from where it begins if all of it is the object's own.
         known: ``(K, 2)`` pixels, equally spaced around the outline as it was, wherever it lay.
         expected: ``(K, 2)`` pixels, the same nodes where they are expected.
+        model: ``(1,)`` the constants.
     """
+    constants, reach = model[0], int(model[0].turn_within)
     cut, everywhere, square = np.zeros(len(points), np.bool_), np.ones(len(known), np.bool_), 0.0
     laying = similarity(known, nodes, everywhere)
-    if not may_be_hidden(nodes, known):
+    if not may_be_hidden(nodes, known, constants):
         return cut, laid_flat(known, laying)
     for k in range(len(known)):
         square += (known[k, 0] - laying[1].real) ** 2 + (known[k, 1] - laying[1].imag) ** 2
-    most = _WITHIN[0] + _WITHIN[1] * abs(laying[0]) * math.sqrt(square / len(known))
+    most = constants.inside[0] + constants.inside[1] * abs(laying[0]) * math.sqrt(square / len(known))
     count, around = max(len(known), _LEAST_NODES), closed(points)
     at = np.arange(count, dtype=np.float64) * (len(known) / count)
     laid = closed(laid_flat(known, similarity(known, expected, everywhere)))
-    laid = laid_along(around, interpolate(laid, np.arange(len(laid), dtype=np.float64), at))
+    laid = interpolate(laid, np.arange(len(laid), dtype=np.float64), at)
+    laid = laid_along(around, laid, constants.outlier, constants.form_noise)
     places = even_around(around, arc, 0.0, count)
     at, far, inside = nearest_places(closed(laid), places)
     off = inside & (far > most)
     if not off.any() or off.all():
         return cut, laid
-    before, more = turns_around(laid), turns_around(places)
+    before, more = turns_around(laid, constants.turn_reach), turns_around(places, constants.turn_reach)
     for k in range(count):
         i = int(at[k])
         more[k] -= before[i] + (at[k] - i) * (before[(i + 1) % count] - before[i])
@@ -75,10 +71,10 @@ def hidden_pieces(points: Array, arc: Array, nodes: Array, known: Array, expecte
         while off[(end + 1) % count]:
             end += 1
         first, last = begin, end
-        for step in range(-1, _BESIDE + 1):
+        for step in range(-1, reach + 1):
             first = begin - step if more[(begin - step) % count] > more[first % count] else first
             last = end + step if more[(end + step) % count] > more[last % count] else last
-        if min(more[first % count], more[last % count]) > _TURN:  # else the object has changed its form
+        if min(more[first % count], more[last % count]) > constants.cut_turn:  # else the object has changed its form
             first, last = min(first, begin), max(last, end)
             way = (last - first) % count / count * arc[-1]
             for p in range(len(points)):
@@ -87,35 +83,39 @@ def hidden_pieces(points: Array, arc: Array, nodes: Array, known: Array, expecte
 
 
 @compiled
-def may_be_hidden(nodes: Array, known: Array) -> bool:
+def may_be_hidden(nodes: Array, known: Array, model: Any) -> bool:
     """Return whether an outline ``(K, 2)`` leaves the known one, and turns almost as it does where something hides it.
 
     Args:
         nodes: Equally spaced.
         known: The same as they were, wherever they lay.
+        model: The constants, one ``RingModel``.
     """
-    count, far, square = len(nodes), 0.0, 0.0
+    count, far, square, reach = len(nodes), 0.0, 0.0, int(model.turn_within)
     laying = similarity(known, nodes, np.ones(count, np.bool_))
     laid = laid_flat(known, laying)
     for k in range(count):
         far = max(far, math.hypot(nodes[k, 0] - laid[k, 0], nodes[k, 1] - laid[k, 1]))
         square += (laid[k, 0] - laying[2].real) ** 2 + (laid[k, 1] - laying[2].imag) ** 2
-    if far < _WITHIN[0] + _WITHIN[1] * math.sqrt(square / count):
+    if far < model.inside[0] + model.inside[1] * math.sqrt(square / count):
         return False
-    now, then = turns_around(nodes), turns_around(known)
+    now, then = turns_around(nodes, model.turn_reach), turns_around(known, model.turn_reach)
     for k in range(count):
         nearby = -np.inf
-        for step in range(-_BESIDE, _BESIDE + 1):
+        for step in range(-reach, reach + 1):
             nearby = max(nearby, then[(k + step) % count])
-        if now[k] - nearby > _ALMOST * _TURN:
+        if now[k] - nearby > model.may_cut * model.cut_turn:
             return True
     return False
 
 
 @compiled
-def turns_around(nodes: Array) -> Array:
-    """Return ``(K,)`` radians by which a closed line ``(K, 2)`` turns about each node, clockwise as seen."""
-    count, chord, out = len(nodes), round(_CHORD * len(nodes)), np.empty(len(nodes))
+def turns_around(nodes: Array, reach: float) -> Array:
+    """Return ``(K,)`` radians by which a closed line ``(K, 2)`` turns about each node, clockwise as seen.
+
+    A turn is measured over a share of the line to either side.
+    """
+    count, chord, out = len(nodes), round(reach * len(nodes)), np.empty(len(nodes))
     for k in range(count):
         after, before = (k + chord) % count, (k - chord) % count
         u, v = nodes[after, 0] - nodes[k, 0], nodes[after, 1] - nodes[k, 1]
@@ -125,16 +125,22 @@ def turns_around(nodes: Array) -> Array:
 
 
 @compiled
-def laid_along(line: Array, points: Array) -> Array:
+def laid_along(line: Array, points: Array, outlier: float, noise: float) -> Array:
     """Return points ``(L, 2)`` turned, scaled and shifted so that most of them lie on a closed line ``(P + 1, 2)``.
 
     Each step moves them towards the nearest places on the line (P. J. Besl, N. D. McKay, "A Method for Registration of
     3-D Shapes", 1992), weighted so that those that lie far off count for little (D. Geman, D. E. McClure, 1987).
+
+    Args:
+        line: Clockwise as seen, the last point as the first.
+        points: Where they were.
+        outlier: Median distances: what is farther off counts for little.
+        noise: Pixels: what is nearer does not.
     """
     laid, count = points.copy(), len(points)
     for _ in range(_STEPS):
         place, far, _ = nearest_places(line, laid)
-        aside = max(_STRAY * np.median(far), _NOISE)
+        limit = max(outlier * np.median(far), noise)
         total = before_u = before_v = after_u = after_v = 0.0
         weight, target = np.empty(count), np.empty((count, 2))
         for k in range(count):
@@ -142,7 +148,7 @@ def laid_along(line: Array, points: Array) -> Array:
             share = place[k] - i
             for d in range(2):
                 target[k, d] = line[i, d] + share * (line[i + 1, d] - line[i, d])
-            weight[k] = 1 / (1 + (far[k] / aside) ** 2) ** 2
+            weight[k] = 1 / (1 + (far[k] / limit) ** 2) ** 2
             total += weight[k]
             before_u += weight[k] * laid[k, 0]
             before_v += weight[k] * laid[k, 1]
@@ -203,7 +209,7 @@ def nearest_places(line: Array, points: Array) -> tuple[Array, Array, Mask]:
 
 
 def complete_outline(
-    curve: FittedCurve, space: FittedCurve, cut: Mask, known: Array, expected: Array
+    curve: FittedCurve, space: FittedCurve, cut: Mask, known: Array, expected: Array, model: RingModel
 ) -> tuple[FittedCurve, float] | None:
     """Return a closed curve of which a part is hidden with that part put back; None if too little is seen.
 
@@ -216,22 +222,23 @@ def complete_outline(
         cut: ``(P,)`` whether it is not the object's own there.
         known: ``(K, D)`` equally spaced around the outline as it was, wherever it lay.
         expected: ``(L, 2)`` pixels, equally spaced around it where it is expected.
+        model: The constants.
 
     Returns:
         The whole curve in the unit of ``space``, and the arc position at which the known outline begins.
     """
     ring = _closed(known)
-    knots, count = arc_length(ring), len(cut)
+    knots, count, trimmed = arc_length(ring), len(cut), int(model.trimmed)
     whole = knots[-1]
     over = np.flatnonzero(cut)
     free = np.diff(np.append(over, over[0] + count))
     index = (over[int(np.argmax(free))] + np.arange(1, int(free.max()))) % count  # the longest piece that is its own
-    index = index[_TRIMMED : len(index) - _TRIMMED]
-    if len(index) < 8:
+    index = index[trimmed : len(index) - trimmed]
+    if len(index) < _FEWEST:
         return None
     seen, pixels = space.points[index], curve.points[index]
     arc = arc_length(np.ascontiguousarray(seen))
-    if not _LEAST_OUTLINE * whole < arc[-1] < whole:
+    if not model.min_seen * whole < arc[-1] < whole:
         return None
     some = np.linspace(0, len(index) - 1, _SAMPLES).round().astype(int)
     around = np.linspace(0, whole, len(expected) + 1)
@@ -248,7 +255,7 @@ def complete_outline(
         own = (after**2).sum()
         shape = (own + (before**2).sum(axis=(1, 2)) - 2 * values.sum(axis=1)) / own
         away = ((place - pixels[some]) ** 2).sum(axis=(1, 2)) / ((pixels[some] - pixels[some].mean(axis=0)) ** 2).sum()
-        return shape + _PLACE * away
+        return shape + model.place_cost * away
 
     begin, step, best = np.arange(_STARTS) * (whole / _STARTS), whole / _STARTS, 0.0
     for _ in range(3):
@@ -268,13 +275,13 @@ def complete_outline(
     return FittedCurve.through(points, flags, True), float(-best)
 
 
-def sticks_out(hidden: Array, outline: Array) -> bool:
-    """Return whether a hidden part ``(L, 2)`` lies beyond the outline ``(P, 2)`` of what is seen, both in pixels.
+def sticks_out(hidden: Array, outline: Array, far: float) -> bool:
+    """Return whether a hidden part ``(L, 2)`` lies so far beyond the outline ``(P, 2)`` of what is seen, all in pixels.
 
     What only touches an object hides nothing of it: its outline is then its own everywhere.
     """
-    _, far, inside = nearest_places(_closed(outline), np.ascontiguousarray(hidden))
-    return bool((far > _WITHIN[0])[~inside].any())
+    _, off, inside = nearest_places(_closed(outline), np.ascontiguousarray(hidden))
+    return bool((off > far)[~inside].any())
 
 
 def _closed(points: Array) -> Array:

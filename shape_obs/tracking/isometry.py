@@ -18,6 +18,7 @@ from shape_obs.camera import viewing_rays
 from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages
 from shape_obs.geometry.coons import FINE
+from shape_obs.tracking.model import LatticeConstants, LatticeModel, Model  # noqa: F401 - the first in a signature
 
 if TYPE_CHECKING:
     from shape_obs.camera import Intrinsics
@@ -29,30 +30,8 @@ Flags = npt.NDArray[np.bool_]
 Mask = npt.NDArray[np.uint8]
 Place = tuple[int, int]
 
-_LAST: Final = FINE - 1
-_MEASURED: Final = 0.8  # of the nodes of a line have depth, so that its length is known
-_FLYING: Final = 2.0  # pixels from the border that may fly between the sheet and what lies behind
-_SMEARED: Final = 3.0  # pixels from the border in which depth may be that of what lies behind
+_LAST: Final = FINE - 1  # of the nodes of a line
 _SAMPLES: Final = 6  # of depth from a node of a line to the next, at most
-_STEP: Final = 0.005  # metres between two samples: two layers of a towel, five times a D455's noise at 0.7 m
-_STEP_SLOPE: Final = 1.5  # metres of depth per metre: steeper than any crease of a cloth in waves (1.0)
-_STEP_NOISE: Final = 4.0  # times the median of the largest steps of all gaps, which is noise
-_FALL_NOISE: Final = 2.0  # times the same: what falls by less at a border may be noise
-_STEEP: Final = 0.55  # radians by which a surface leans at its border, where it may turn away
-_STEEPER: Final = 0.4  # radians more than an eighth of a side farther in
-# Shares that noise and waves explain, and shares from which a sheet is refused. Of 170 simulated cloths that were
-# dropped, dragged and folded, seen at 640 x 480, all with less lay within half a cell of their material on average; of
-# 60 in waves one had more, under 2 mm of noise (``tests.benchmarks sheets.crumpled``).
-_IDEAL: Final = 0.03  # of a row's length, shorter or longer than the median
-_MAX_SHORT: Final = 0.18
-_MAX_LONG: Final = 0.5
-_IDEAL_TORN: Final = 0.25  # of the rows or columns
-_MAX_TORN: Final = 0.4
-_IDEAL_TURNED: Final = 0.2  # of a side
-_MAX_TURNED: Final = 0.3
-_LEAST: Final = 0.5  # of belief: the shares together are evidence where none of them is alone
-_NOISE: Final = 0.1  # of a gap: nodes that are off by less are not
-_UNCERTAIN: Final = 0.2  # of a gap, beyond that: nodes that are off by more are uncertain
 
 
 class Isometry(NamedTuple):
@@ -76,8 +55,9 @@ class Isometry(NamedTuple):
 
     @classmethod
     def in_image(
-        cls, lattice: Array, hidden: Flags, region: Region, images: DepthImages, camera: Intrinsics, size: Place
-    ) -> Isometry:
+        cls, lattice: Array, hidden: Flags, region: Region, images: DepthImages, camera: Intrinsics, size: Place,
+        model: LatticeModel,
+    ) -> Isometry:  # fmt: skip
         """Return the isometry of a lattice of ``(625, 2)`` pixels.
 
         Args:
@@ -87,27 +67,25 @@ class Isometry(NamedTuple):
             images: The frame's depth.
             camera: The projection.
             size: Rows and columns of the shape.
+            model: The constants.
         """
-        return cls(*_in_image(lattice, hidden, images, region.mask, region.window[:2], camera.lens, *size))
+        return cls(
+            *_in_image(lattice, hidden, images, region.mask, region.window[:2], camera.lens, *size, model.record)
+        )
 
     @classmethod
-    def in_space(cls, lattice: Array, size: Place) -> Isometry:
+    def in_space(cls, lattice: Array, size: Place, model: LatticeModel) -> Isometry:
         """Return the isometry of a lattice of ``(625, 3)`` points on a surface without an image."""
-        return cls(*_compare_ways(np.ascontiguousarray(lattice), *size))
+        return cls(*_compare_ways(np.ascontiguousarray(lattice), *size, model.record))
 
-    @property
-    def uncertain(self) -> Flags:
-        """``(625,)`` nodes that may be off by too much of a gap."""
-        return self.off > _UNCERTAIN * self.gap
-
-    def verdict(self) -> tuple[str, float]:
+    def verdict(self, model: LatticeModel) -> tuple[str, float]:
         """Return why the sheet is not spread out, empty if it is, and how far that may be believed, 0...1."""
         shares = (
-            _left(self.short, _IDEAL, _MAX_SHORT), _left(self.long, _IDEAL, _MAX_LONG),
-            _left(self.torn, _IDEAL_TORN, _MAX_TORN), _left(self.turned, _IDEAL_TURNED, _MAX_TURNED),
+            _left(self.short, model.row_noise, model.max_short), _left(self.long, model.row_noise, model.max_long),
+            _left(self.torn, *model.torn), _left(self.turned, *model.turned),
         )  # fmt: skip
         believed = math.prod(shares) ** 0.5
-        if believed >= _LEAST:
+        if believed >= model.min_flat:
             return "", believed
         return (
             f"a part of the sheet lies over or beneath another: its rows or columns are {-self.short:.0%} to "
@@ -121,8 +99,8 @@ def _left(share: float, ideal: float, most: float) -> float:
     return min(max((most - share) / (most - ideal), 0.0), 1.0)
 
 
-@compiled("(f8[:,::1], i8, i8)")
-def _compare_ways(space: Array, rows: int, cols: int) -> tuple[Array, float, float, float]:
+@compiled("(f8[:,::1], i8, i8, LatticeConstants[::1])")
+def _compare_ways(space: Array, rows: int, cols: int, model: Model) -> tuple[Array, float, float, float]:
     """Return the first four fields of ``Isometry``.
 
     Let w be the way along the surface from the begin of a row to node k of n, W' the row's whole length, and W the
@@ -138,8 +116,10 @@ def _compare_ways(space: Array, rows: int, cols: int) -> tuple[Array, float, flo
         space: ``(625, 3)`` metres; NaN for nodes without depth.
         rows: See ``Isometry.in_image``.
         cols: The same.
+        model: ``(1,)`` the constants.
     """
     off, gap, short, long = np.zeros((FINE, FINE)), np.inf, 0.0, 0.0
+    measured, noise = model[0].min_measured, model[0].row_noise
     for down in range(2):
         ways, lengths = np.full((FINE, FINE), np.nan), np.full(FINE, np.nan)
         for i in range(1, _LAST):
@@ -152,7 +132,7 @@ def _compare_ways(space: Array, rows: int, cols: int) -> tuple[Array, float, flo
                         square += (space[p, d] - space[q, d]) ** 2
                     way += math.sqrt(square) if last else 0.0
                     ways[i, k], last, seen = way, k, seen + 1
-            if seen >= _MEASURED * (FINE - 2) and last == _LAST - 1 and ways[i, 1] == 0:
+            if seen >= measured * (FINE - 2) and last == _LAST - 1 and ways[i, 1] == 0:
                 lengths[i] = way
         whole = np.nanmedian(lengths)
         if whole > 0:
@@ -162,7 +142,7 @@ def _compare_ways(space: Array, rows: int, cols: int) -> tuple[Array, float, flo
             if not math.isfinite(excess):
                 continue
             short, long = max(short, -excess), max(long, excess)
-            anywhere = max(abs(excess) - _IDEAL, 0.0) / math.sqrt(12)
+            anywhere = max(abs(excess) - noise, 0.0) / math.sqrt(12)
             for k in range(1, _LAST):
                 if math.isfinite(ways[i, k]):
                     share, way, row, col = (k - 1) / (FINE - 3), ways[i, k] / whole, k if down else i, i if down else k
@@ -171,25 +151,29 @@ def _compare_ways(space: Array, rows: int, cols: int) -> tuple[Array, float, flo
     for i in range(FINE * FINE):
         row, col = i // FINE, i % FINE
         off[row, col] = off[min(max(row, 1), _LAST - 1), min(max(col, 1), _LAST - 1)]
-    return np.maximum(off - _NOISE * gap, 0.0).reshape(FINE * FINE), gap, short, long
+    return np.maximum(off - model[0].node_noise * gap, 0.0).reshape(FINE * FINE), gap, short, long
 
 
-@compiled("(f8[:,::1], b1[::1], " + DEPTH_TYPE + ", u1[:,::1], UniTuple(i8, 2), f8[::1], i8, i8)")
+@compiled(
+    "(f8[:,::1], b1[::1], " + DEPTH_TYPE + ", u1[:,::1], UniTuple(i8, 2), f8[::1], i8, i8, LatticeConstants[::1])"
+)
 def _in_image(
-    lattice: Array, hidden: Flags, depth: DepthImages, mask: Mask, at: Place, lens: Array, rows: int, cols: int
-) -> tuple[Array, float, float, float, float, float]:
+    lattice: Array, hidden: Flags, depth: DepthImages, mask: Mask, at: Place, lens: Array, rows: int, cols: int,
+    model: Model,
+) -> tuple[Array, float, float, float, float, float]:  # fmt: skip
     """Return the fields of ``Isometry`` as ``Isometry.in_image`` takes the lattice."""
     if len(depth[0]) > 0:
-        return _look(lattice, hidden, depth[0], MILLIMETRE, mask, at, lens, rows, cols)
-    return _look(lattice, hidden, depth[1], 1.0, mask, at, lens, rows, cols)
+        return _look(lattice, hidden, depth[0], MILLIMETRE, mask, at, lens, rows, cols, model)
+    return _look(lattice, hidden, depth[1], 1.0, mask, at, lens, rows, cols, model)
 
 
 @compiled
 def _look(
     lattice: Array, hidden: Flags, depth: npt.NDArray[Any], unit: float, mask: Mask, at: Place, lens: Array, rows: int,
-    cols: int,
+    cols: int, model: Model,
 ) -> tuple[Array, float, float, float, float, float]:  # fmt: skip
     """Return the fields of ``Isometry``; steps are looked for along every other line of the lattice."""
+    constants = model[0]
     space, focal, torn, turned, spacing = viewing_rays(lattice, lens), (lens[0] + lens[1]) / 2, 0.0, 0.0, 0.0
     steps, begins = np.zeros((2, FINE // 2, FINE)), np.empty(FINE, np.int64)
     trends, falls = np.zeros((2, FINE // 2, FINE)), np.zeros((2, FINE // 2, 2))
@@ -204,8 +188,8 @@ def _look(
             along = _profile(lattice, hidden, depth, unit, mask, at, nodes, begins)
             last, wide = begins[_LAST], lattice[nodes[_LAST]] - lattice[nodes[0]]
             pixels = math.hypot(wide[0], wide[1])
-            angle, margin = pixels / (last * focal), math.ceil(_SMEARED * last / max(pixels, 1.0))
-            flying = math.ceil(_FLYING * last / max(pixels, 1.0))
+            angle, margin = pixels / (last * focal), math.ceil(constants.smeared * last / max(pixels, 1.0))
+            flying = math.ceil(constants.flying * last / max(pixels, 1.0))
             middle = along[begins[FINE // 2]] * angle
             spacing = max(spacing, middle if math.isfinite(middle) else 0.0)
             for k in range(1, _LAST - 1):
@@ -217,20 +201,20 @@ def _look(
                     if rise > steps[down, i, k]:
                         steps[down, i, k] = rise
             ends = last - begins[_LAST - 1], last - begins[_LAST - 3]
-            falls[down, i, 0] = _fall(along, flying, begins[1], begins[3], angle)
-            falls[down, i, 1] = _fall(along[::-1], flying, ends[0], ends[1], angle)
+            falls[down, i, 0] = _fall(along, flying, begins[1], begins[3], angle, constants)
+            falls[down, i, 1] = _fall(along[::-1], flying, ends[0], ends[1], angle, constants)
     # A sample is read up to half a pixel from its place: on a slope that is a step too.
     slope = max(np.median(trends[0, :, 1 : _LAST - 1]), np.median(trends[1, :, 1 : _LAST - 1]))
     noise = np.median(steps[:, :, 1 : _LAST - 1])
-    limit = max(_STEP, _STEP_NOISE * noise, _STEP_SLOPE * spacing) + slope
+    limit = max(constants.step, constants.step_noise * noise, constants.step_slope * spacing) + slope
     for down in range(2):
         torn_lines, turned_lines = 0, np.zeros(2)
         for i in range(FINE // 2):
             torn_lines += (steps[down, i] - trends[down, i]).max() > limit
             for end in range(2):
-                turned_lines[end] += falls[down, i, end] > _FALL_NOISE * noise
+                turned_lines[end] += falls[down, i, end] > constants.fall_noise * noise
         torn, turned = max(torn, torn_lines / (FINE // 2)), max(turned, turned_lines.max() / (FINE // 2))
-    off, gap, short, long = _compare_ways(space, rows, cols)
+    off, gap, short, long = _compare_ways(space, rows, cols, model)
     return off, gap, short, long, torn, turned
 
 
@@ -272,7 +256,7 @@ def _profile(
 
 
 @compiled
-def _fall(z: Array, flying: int, first: int, third: int, angle: float) -> float:
+def _fall(z: Array, flying: int, first: int, third: int, angle: float, model: Any) -> float:
     """Return by how many metres a surface falls away from the camera where its depth ``(P,)`` along a line begins.
 
     It is 0 for a surface that is not steep there, or as steep farther in.
@@ -283,13 +267,15 @@ def _fall(z: Array, flying: int, first: int, third: int, angle: float) -> float:
         first: Where the second node of the line is.
         third: Where the fourth is.
         angle: Radians from place to place, as the camera sees them.
+        model: The constants, one ``LatticeModel``.
     """
     border = min(flying, first)
     while border < first and math.isnan(z[border]):
         border += 1
     inner, place = min(border + max(first // 2, 2), len(z) - 1), z[third] * angle  # metres from place to place
     steep = math.atan((z[border] - z[inner]) / (place * (inner - border)))
-    turns = steep > _STEEP and steep - math.atan((z[first] - z[third]) / (place * (third - first))) > _STEEPER
+    farther_in = math.atan((z[first] - z[third]) / (place * (third - first)))
+    turns = steep > model.steep and steep - farther_in > model.steeper
     return z[border] - z[inner] if turns else 0.0
 
 

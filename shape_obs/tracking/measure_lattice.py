@@ -18,6 +18,7 @@ from shape_obs.image.outline_tracing import trace_largest
 from shape_obs.initialization.corners import nearest_corners, rim_of
 from shape_obs.tracking.complete_lattice import Edges, Lens, rim_depth
 from shape_obs.tracking.measure_ring import MIN_SAMPLES, lifted
+from shape_obs.tracking.model import DepthLimits, LatticeConstants, LatticeModel, Model  # noqa: F401 - in a signature
 from shape_obs.tracking.register_lattice import FITS, assign_corners, compare_sheet, known_slack, match_corners
 from shape_obs.tracking.sheet_view import SheetView, doubtful_places, learn_sheet
 
@@ -39,19 +40,19 @@ SHEET_WRONG: Final = (
     "the outline's corners are not where the lattice's are",
     "the sheet runs out of the camera's sight",
 )
-UNBENT: Final = (90.0, 0.0, 0.0, 0.0)
+UNBENT: Final = (90.0, 0.0, 0.0, 0.0)  # what ``assess_lattice`` returns of a rectangle
 _MAX_PIXEL: Final = 1e12  # farther off, a projected point counts as out of sight
 
 
-@compiled("(u1[:,::1], i8[:,::1], i8, i8, i8, " + DEPTH_TYPE + ", UniTuple(i8, 4), UniTuple(f8, 4))")
+@compiled("(u1[:,::1], i8[:,::1], i8, i8, i8, " + DEPTH_TYPE + ", UniTuple(i8, 4), UniTuple(f8, 4), UniTuple(f8, 7))")
 def see_sheet(
     mask: Mask, runs: Indices, pieces: int, left: int, top: int, depth: DepthImages,
-    edge: Edges, camera: Lens,
+    edge: Edges, camera: Lens, limits: DepthLimits,
 ) -> tuple[Array, Array, Indices, float, float, Array, Array, Flags, float]:  # fmt: skip
     """Return the outline of the largest piece of a mask as the rim of a sheet, and put it in space.
 
     Args:
-        mask: As ``step_ring_in_mask`` takes it, and all others.
+        mask: As ``step_ring_in_mask`` takes it, and all up to the camera.
         runs: Of the mask.
         pieces: Components.
         left: Image column.
@@ -59,6 +60,7 @@ def see_sheet(
         depth: The frame's.
         edge: Of what is searched.
         camera: A pinhole.
+        limits: As ``rim_depth`` takes it.
 
     Returns:
         The five of ``rim_of``; the rim in metres ``(400, 3)``, ``(0, 3)`` without depth; ``(400,)`` depth, metres or
@@ -69,20 +71,20 @@ def see_sheet(
         nothing = np.empty(0)
         return np.empty((0, 2)), nothing, np.empty(0, np.int64), 0.0, 0.0, np.empty((0, 3)), nothing, nothing > 0, width
     rim, turn, candidates, step, grain = rim_of(material_outline(traced, False)[1])
-    z, cut = rim_depth(depth, edge, mask, left, top, rim, width)
+    z, cut = rim_depth(depth, edge, mask, left, top, rim, width, limits)
     return rim, turn, candidates, step, grain, lifted(rim, z, camera), z, cut, width
 
 
-def view_sheet(region: Region, scene: Scene) -> SheetView:
+def view_sheet(region: Region, scene: Scene, model: LatticeModel) -> SheetView:
     """Return the outline of a region as the rim of a sheet, in space if the frame has depth along it."""
     own, around = scene.around(region)
-    rim, turn, candidates, step, grain, space, z, cut, width = see_sheet(*own, *around)
+    rim, turn, candidates, step, grain, space, z, cut, width = see_sheet(*own, *around, model.depth_limits)
     camera = scene.intrinsics
     if camera is not None and camera.model != "pinhole" and len(z) and np.isfinite(z).all():
         there = camera.deproject(rim, z)
         space = there if np.isfinite(there).all() else space
     space, camera = (space, camera) if len(space) else (rim, None)
-    return SheetView(region, rim, turn, candidates, step, grain, space, cut, camera, width, around[-1])
+    return SheetView(region, rim, turn, candidates, step, grain, space, cut, camera, width, around[-1], model)
 
 
 @compiled("(f8[:,::1], f8[::1], i8[::1], f8, f8, f8[:,::1], i8[::1], f8[:,::1])")
@@ -130,10 +132,12 @@ def lay_patch(
 Judged = tuple[int, int, Array, Array, Array, Flags, float, Array, Array, tuple[float, float, float, float]]
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8[:,::1], f8, f8[:,::1], f8[::1], u1[:,::1], i8, i8, f8, f8, b1)")
+@compiled(
+    "(f8[:,::1], f8[:,::1], f8[:,::1], f8, f8[:,::1], f8[::1], u1[:,::1], i8, i8, f8, f8, b1, LatticeConstants[::1])"
+)
 def judge_patch(
     patch: Array, lattice: Array, space: Array, step: float, known: Array, sides: Array, mask: Mask, left: int,
-    top: int, rows: float, cols: float, buckled: bool,
+    top: int, rows: float, cols: float, buckled: bool, model: Model,
 ) -> Judged:  # fmt: skip
     """Compare a sheet that is seen as a whole with what is known of it, and measure it.
 
@@ -150,42 +154,44 @@ def judge_patch(
         rows: How many points are asked for from top to bottom.
         cols: The same from left to right.
         buckled: Whether sides may be shorter, see ``compare_sheet``.
+        model: ``(1,)`` the constants.
 
     Returns:
         The two of ``compare_sheet``; the lattice, and the two of ``lattice_gauges``; ``(625,)`` what is hidden; the
         share that lies off the mask; what is known now, see ``learn_sheet``; the measures of ``assess_lattice``, of a
         sheet in the image alone.
     """
-    metric = len(known) > 0 and known.shape[1] == 3
+    metric, constants = len(known) > 0 and known.shape[1] == 3, model[0]
     hidden, measures = ~near_mask(mask, left, top, lattice, 1), UNBENT
     down, right = lattice_gauges(lattice.reshape(FINE, FINE, 2))
     off, reference, lengths = np.count_nonzero(hidden) / len(hidden), patch, sides
     if len(known) > 0:
         scale = arc_length(closed(space))[RIM] / (RIM * step) if metric else 1.0
         border = border_of(patch if metric else lattice)
-        slack = known_slack(sides, metric, scale)
-        code, side = compare_sheet(border, border_of(known), sides, slack, metric, buckled)
+        share = constants.length_tolerance[1 if metric else 0]
+        slack = known_slack(sides, share, constants.border_noise * scale)
+        code, side = compare_sheet(border, border_of(known), sides, slack, metric, buckled, constants)
         if code != FITS:
             return code, side, lattice, down, right, hidden, off, reference, lengths, measures
         if not metric:
-            hidden |= doubtful_places(known, lattice, min(sides[0] / cols, sides[1] / rows))
+            hidden |= doubtful_places(known, lattice, min(sides[0] / cols, sides[1] / rows), model)
     if not metric and patch.shape[1] == 2:
         measures = assess_lattice(patch.reshape(FINE, FINE, 2))
     if len(known) == 0 or known.shape[1] < patch.shape[1]:
         lengths = side_lengths(border_of(patch))
     elif not (buckled and metric):
-        reference, lengths = learn_sheet(known, patch, sides)
+        reference, lengths = learn_sheet(known, patch, sides, constants)
     return FITS, 0, lattice, down, right, hidden, off, reference, lengths, measures
 
 
 @compiled(
     "(f8[:,::1], f8[::1], i8[::1], f8, f8, f8[:,::1], i8[::1], f8[:,::1], UniTuple(f8, 4), f8[:,::1], f8[::1], "
-    "u1[:,::1], i8, i8, f8, f8, b1)"
+    "u1[:,::1], i8, i8, f8, f8, b1, LatticeConstants[::1])"
 )
 def lay_sheet(
     rim: Array, turn: Array, candidates: Indices, step: float, grain: float, space: Array, corners: Indices,
     predicted: Array, camera: Lens, known: Array, sides: Array, mask: Mask, left: int, top: int, rows: float,
-    cols: float, buckled: bool,
+    cols: float, buckled: bool, model: Model,
 ) -> tuple[Judged, Array, float, int, float]:  # fmt: skip
     """Run ``lay_patch``, project the patch by a pinhole and run ``judge_patch``, all in one call.
 
@@ -197,7 +203,7 @@ def lay_sheet(
     if len(patch) == 0 or len(lattice) == 0:
         code, nothing = OUT_OF_SIGHT if len(patch) else NO_CORNERS, np.empty(0)
         return (code, 0, lattice, nothing, nothing, nothing > 0, 0.0, patch, sides, UNBENT), patch, kink, number, stray
-    judged = judge_patch(patch, lattice, space, step, known, sides, mask, left, top, rows, cols, buckled)
+    judged = judge_patch(patch, lattice, space, step, known, sides, mask, left, top, rows, cols, buckled, model)
     return judged, patch, kink, number, stray
 
 

@@ -14,19 +14,19 @@ from shape_obs.geometry.outline import SAMPLED, enclosed_by, material_outline, p
 from shape_obs.geometry.polyline import catmull_rom
 from shape_obs.image.outline_tracing import trace_largest
 from shape_obs.tracking.complete_lattice import Edges, Lens, rim_depth
+from shape_obs.tracking.model import DepthLimits
 from shape_obs.tracking.validation import ring_miss
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.uint8]
 
-SIGMA: Final = 0.4  # nodes: the width of the map's neighbourhood; one epoch, since the start lies on the outline
 PIECES: Final = 4  # of the curve between two nodes
 MIN_SAMPLES: Final = 8  # a ring of 16 pixels, as few as an object may have
 
 
-@compiled("(f8[:,::1], b1, f8[::1], i8)")
-def fit_ring_in_mask(traced: Array, hole: bool, start: Array, count: int) -> tuple[Array, float]:
+@compiled("(f8[:,::1], b1, f8[::1], i8, f8)")
+def fit_ring_in_mask(traced: Array, hole: bool, start: Array, count: int, sigma: float) -> tuple[Array, float]:
     """Run the self-organising map of a ring on the outline of a mask and finish its curve, all in one call.
 
     Args:
@@ -34,13 +34,14 @@ def fit_ring_in_mask(traced: Array, hole: bool, start: Array, count: int) -> tup
         hole: Whether the material lies outside.
         start: ``(2,)`` the first node starts at the outline's point nearest to it.
         count: How many nodes.
+        sigma: Width of the neighbourhood, nodes.
 
     Returns:
         ``(count * 4, 2)`` the closed curve, and how far the outline misses it, in distances of its samples.
     """
     points, smooth = material_outline(traced, hole)
     samples = pairs(points)
-    nodes, unit = run_ring_som(samples, smooth, start, count, SIGMA)
+    nodes, unit = run_ring_som(samples, smooth, start, count, sigma)
     curve = catmull_rom(nodes, PIECES, True)
     return curve, ring_miss(samples, unit, curve, PIECES) / SAMPLED
 
@@ -48,7 +49,7 @@ def fit_ring_in_mask(traced: Array, hole: bool, start: Array, count: int) -> tup
 @compiled
 def see_outline(
     mask: Mask, runs: Indices, pieces: int, left: int, top: int, depth: DepthImages,
-    edge: Edges, camera: Lens, start: Array, count: int,
+    edge: Edges, camera: Lens, start: Array, count: int, sigma: float, limits: DepthLimits,
 ) -> tuple[Array, Array, bool, float, float, float]:  # fmt: skip
     """Fit a ring to the outline of the largest piece of a mask, and put it in space, all in one call.
 
@@ -63,6 +64,8 @@ def see_outline(
         camera: Focal lengths and principal point of a pinhole, pixels.
         start: As ``fit_ring_in_mask`` takes it.
         count: How many nodes.
+        sigma: Width of the neighbourhood, nodes.
+        limits: As ``rim_depth`` takes it.
 
     Returns:
         ``(count * 4, 2)`` the closed curve; the same in metres, ``(0, 3)`` without depth; whether something lies over
@@ -72,8 +75,8 @@ def see_outline(
     traced, width = trace_largest(mask, runs, pieces, left, top)
     if len(traced) <= SAMPLED * (MIN_SAMPLES - 1):
         return np.empty((0, 2)), np.empty((0, 3)), False, 0.0, 0.0, 0.0
-    curve, miss = fit_ring_in_mask(traced, False, start, count)
-    z, cut = rim_depth(depth, edge, mask, left, top, curve, width)
+    curve, miss = fit_ring_in_mask(traced, False, start, count, sigma)
+    z, cut = rim_depth(depth, edge, mask, left, top, curve, width, limits)
     return curve, lifted(curve, z, camera), bool(cut.any()), miss, width, enclosed_by(traced)
 
 

@@ -20,6 +20,9 @@ import numpy.typing as npt
 
 Model = npt.NDArray[Any]
 _Pair = tuple[float, float]
+#: How depth is read along an outline: ``nearer``, ``at_edge``, ``depth_reach``, ``min_reach``, ``max_reach``,
+#: ``min_depth`` and ``edge_reach`` of an ``OutlineModel``.
+DepthLimits = tuple[float, float, float, float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,10 @@ class MotionModel:
     longest_interval: float = 0.1  # s: a frame counts for no longer, though none was seen before it
     width_noise: float = 0.03  # of the width: smaller changes are noise
     steady: float = 0.003  # of the area, by which what is seen as a whole changes from frame to frame
+    max_off: float = 0.10  # of a form: so much of it may be off the mask or cloud
+    max_hidden: float = 0.75  # of a tracked object: so much of it may be out of sight
+    min_seen: float = 0.3  # of an object: so much has to be in sight to report it
+    nearer: float = 0.008  # metres: what is nearer than an object by more, besides its slope, is over it
 
     @cached_property
     def record(self) -> Model:
@@ -72,7 +79,6 @@ class ChainModel(MotionModel):
     unfamiliar: float = 4.0  # times: how much larger the variance of a tip is that was seen once
     tip_reach: _Pair = (1.5, 8.0)  # widths and pixels around a tip in which what hides it must be
     at_border: _Pair = (0.5, 2.0)  # widths and pixels from the border, within which a rope is cut off by it
-    nearer: float = 0.008  # metres: what is nearer than the rope by this much, and its slope, is over it
     level: float = 0.004  # metres: what goes on at the rope's own depth, within this, is the rope
     touching: float = 0.06  # of the pixels ahead: that many are nearer where something hides the rope
     seen_past: float = 0.5  # of the pixels ahead: that many are behind a tip that is free
@@ -139,7 +145,6 @@ class ChainModel(MotionModel):
     max_scatter: float = 0.40  # widths: RMS distance of what is seen from the curve; of an ideal ribbon 0.29
     min_stretch: float = 0.957  # a curve that became longer by more follows something else; a pulled band does not
     either_end: float = 0.08  # of the length: if so much more may be hidden at the other end, neither is known
-    min_seen: float = 0.3  # of the length: so much has to be in sight to report it
     min_in_pieces: float = 0.45  # the same around a long gap: a piece behind it may be anywhere
     long_gap: float = 0.1  # of the length
     min_between: float = 0.6  # of the length: so much has to be in sight while both ends are hidden
@@ -152,6 +157,147 @@ class ChainModel(MotionModel):
     short_tolerances: float = 1.4  # tolerances by which a length in metres may be too short
 
 
+@dataclass(frozen=True)
+class OutlineModel(MotionModel):
+    """What is the same for outlines and for the outlines of sheets."""
+
+    at_edge: float = 0.8  # pixels: an outline as near to the edge of what is searched is cut off by it
+    depth_reach: float = 0.125  # of the width: depth along an outline is read within this
+    min_reach: float = 2.0  # pixels: that reach at least
+    max_reach: float = 5.0  # pixels: that reach at most
+    min_depth: float = 0.5  # of the pixels around a point: with less depth, a plane through them is off next to a hole
+    edge_reach: float = 7.0  # pixels beyond an outline, where depth is looked for: a camera has none next to an edge
+    form_noise: float = 0.5  # pixels: what is nearer to the known form is off by noise
+
+    @cached_property
+    def depth_limits(self) -> DepthLimits:
+        """What reading depth along an outline takes."""
+        reach = self.depth_reach, self.min_reach, self.max_reach
+        return self.nearer, self.at_edge, *reach, self.min_depth, self.edge_reach
+
+
+@dataclass(frozen=True)
+class RingModel(OutlineModel):
+    """An outline."""
+
+    # Nodes. At 4 px they jitter by a sixth more than at 6 px; at 8 px garments are 0.16 px off instead of 0.13.
+    node_spacing: float = 3.0  # samples from node to node: closer, they follow the pixels; farther, they cut corners
+    max_spacing: float = 1.5  # widths from node to node: farther, and a node's samples are those of the other side too
+    min_width: float = 1.25  # samples: of outlines of 2 px, one in three has its two sides mixed up; of 3 px, none
+    min_hollow: float = 0.05  # of what a closed band encloses; drawn shapes without a hole have at most 0.01
+    sigma: float = 0.4  # nodes: width of the neighbourhood; there is one epoch, since the start is on the outline
+
+    # Register.
+    start_weight: float = 0.05  # of a match of forms: weight of the place; of a square's four ways the nearest is taken
+    place_weight: _Pair = (0.0003, 1.0)  # the same on a circle: of any size, and times a squared resolution, for noise
+    staircase: float = 0.06  # squared resolutions: what the staircase of pixels makes of a circle
+    alike: float = 0.98  # of a perfect match: a better one in space is looked for near the expected place alone
+    outlier: float = 2.0  # median distances: what is farther off has bent or is hidden, and counts for little
+    max_refinement: float = 1 / 24  # of the outline: by so much a shift is refined at most
+
+    # Learn. Numbered by the last frame alone, an outline of noisy pixels drifts by 6 px in 180 frames.
+    outline_gain: float = 0.05  # in a frame: how fast the known outline follows the one that is found
+    max_outline_change: float = 0.003  # of the radius in a frame: what a hand hides little by little is not forgotten
+
+    # Hidden pieces, and how they are completed.
+    inside: _Pair = (1.2, 0.01)  # pixels and radii: an outline so far within the known one is not the object's own
+    cut_turn: float = 0.28  # radians by which it turns more than the known one where something begins to hide it
+    may_cut: float = 0.4  # of that turn: with less between its nodes, nothing hides a piece
+    turn_reach: float = 1 / 16  # of the outline to either side: a turn is measured over it
+    turn_within: float = 3.0  # nodes from where it leaves the known outline to that turn, at most
+    trimmed: float = 4.0  # points of a visible piece next to what hides the rest, which are not used
+    min_seen: float = 0.4  # of the outline: so much has to be in sight, in one piece
+    place_cost: float = 0.005  # of a misfit of forms: what a misfit of places costs
+
+    # Judge. The staircase of pixels alone is 0.12 samples off the best curve, flipped border pixels twice that.
+    miss: _Pair = (0.15, 0.75)  # samples by which an outline misses the mask's: of an ideal one, and at most
+    min_piece: float = 0.6  # of the object: the largest piece
+
+
+@dataclass(frozen=True)
+class LatticeModel(OutlineModel):
+    """A sheet."""
+
+    # Which objects are sheets.
+    min_width: float = 6.0  # resolutions: what is narrower has no two sides that can be distinguished
+    max_aspect: float = 8.0  # length over width: what is longer is a ribbon, whose corners are its ends
+    max_cut: float = 0.03  # of the outline, which may be on the image's edge when a track begins
+    min_piece: float = 0.8  # of the mask: the largest piece, since a sheet cannot be connected over a gap
+
+    # Register: which turns of the outline are corners. Standard deviations are those of a frame.
+    corner_reach: float = 0.8  # half diagonals from where a corner is expected: it is not looked for farther off
+    corner_spread: _Pair = (0.035, 0.12)  # half diagonals: of one from where the others put it; tilt moves it in space
+    shift_spread: float = 0.3  # half diagonals: standard deviation of the motion of all corners
+    turn_spread: float = 0.35  # radians: standard deviation of how they turn
+    scale_spread: float = 0.15  # standard deviation of the logarithm of their scale
+    min_scale: float = 0.5  # times: corners do not come so much nearer to each other
+    cost_of_hiding: float = 3.0  # squared standard deviations: of a hidden corner
+    cost_of_detour: float = 2.0  # squared standard deviations: at most, of a long side with something over its middle
+
+    # Register: sides, and what hides a part of them.
+    length_tolerance: _Pair = (0.04, 0.07)  # of a side: its length may be off by so much
+    border_noise: float = 2.0  # pixels: a length and a border may be off by so much
+    max_zoom: float = (
+        0.03  # of the size, in a frame: all sides in an image grow and shrink together, as it comes nearer
+    )
+    cut_turn: _Pair = (0.38, 0.6)  # radians by which a border turns where something hides it: on a side; at a corner
+    dent: _Pair = (
+        0.035,
+        1.5,
+    )  # of a side and pixels: a border in an image that is farther from its form is not its own
+    min_buckled: float = 0.8  # of its length: a side that has buckled is not shorter
+    outlier: float = 2.5  # median distances: what is nearer to the known form has bent with the rest of the sheet
+    hidden_place: _Pair = (0.3, 1.0)  # of a gap and pixels: nodes in an image farther from the known form are hidden
+
+    # Complete.
+    border_bend: _Pair = (0.05, 0.12)  # of the way from a corner: a border is followed while it is no farther off
+    own_length: float = 2.0  # tolerances: a side that is off by less between two corners in sight is all its own
+    trimmed: float = 1.0  # points of a border before it leaves its form, and next to a corner, which are not used
+    max_misfit: float = 0.06  # of the size: RMS distance of what is seen of a border from the known one
+    barely_cut: float = 0.1  # of the outline, next to which something nearer is seen, as a gripper is
+    behind: float = 0.01  # metres: what is farther behind a sheet would be hidden by it
+    max_seen_through: float = 0.02  # of a sheet: the border of what is put back may be a little outside
+    inner: float = 0.06  # of the width from its border: there the plane of a sheet is measured
+    fold_turn: float = 0.45  # radians by which a border turns within the sheet at a fold, and else at corners alone
+
+    # Learn.
+    max_stretch: _Pair = (0.0022, 0.001)  # of a side, in a frame: its known length follows by so much
+    form_gain: float = 0.03  # in a frame: how fast the known form follows in an image
+
+    # Judge a lattice. Of real towels no side turns by more than 36 degrees or winds by more than 7 %, and no areas vary
+    # by more than 15 %; T-shirts and shorts begin there.
+    max_skew: float = 55.0  # degrees by which a corner may miss a right angle
+    max_folds: float = 0.01  # of the cells that lie next to one that is upside down, as one may at a round corner
+    kink: _Pair = (25.0, 60.0)  # degrees by which a side turns: in wrinkles, and at most
+    max_winding: float = 0.20  # of the way from corner to corner: excess length of a side
+    max_uneven: float = 0.40  # variation of the areas of cells
+    max_unequal: float = (
+        0.03  # of a gap in space: mean difference; with more drawn cloths are wrong, with less 3 of 1,663
+    )
+    gap_noise: float = 0.8  # errors of a point: mean difference of gaps that noise explains
+
+    # Judge by depth whether it is folded or crumpled (``tests.benchmarks sheets.crumpled``). Of 170 simulated cloths
+    # that were dropped, dragged and folded, all within these shares were at most half a cell off on average; of 60 in
+    # waves one was not within them, under 2 mm of noise.
+    min_measured: float = 0.8  # of the nodes of a row: so many need depth, so that its length is known
+    flying: float = 2.0  # pixels from the border, whose depth may be between the sheet's and that of what is behind
+    smeared: float = 3.0  # pixels from the border, whose depth may be that of what is behind
+    step: float = 0.005  # metres between two samples: two layers of a towel, 5 times a D455's noise at 0.7 m
+    step_slope: float = 1.5  # metres of depth for each metre: steeper than any crease of a cloth in waves (1.0)
+    step_noise: float = 4.0  # times the median of the largest steps of all gaps, which is noise
+    fall_noise: float = 2.0  # times the same: a smaller fall at a border may be noise
+    steep: float = 0.55  # radians by which a surface leans at its border, where it may turn away
+    steeper: float = 0.4  # radians by which it leans more there than an eighth of a side farther in
+    row_noise: float = 0.03  # of the median length of rows: a difference that noise and waves explain
+    max_short: float = 0.18  # of the median length: how much shorter a row may be along the surface
+    max_long: float = 0.5  # of the median length: how much longer
+    torn: _Pair = (0.25, 0.4)  # of the rows in which depth steps: what noise and waves explain, and at most
+    turned: _Pair = (0.2, 0.3)  # of a side that turns away: what noise and waves explain, and at most
+    min_flat: float = 0.5  # of 1, a sheet that is spread out: shares that are near their limits add up
+    node_noise: float = 0.1  # of a gap: nodes that may be off by less are not
+    uncertain: float = 0.2  # of a gap, beyond that: nodes that may be off by more are uncertain
+
+
 def _record_type(kind: type[MotionModel]) -> np.dtype[Any]:
     """Return the type of a model's record; of several values each, an array."""
     model = kind()
@@ -161,3 +307,7 @@ def _record_type(kind: type[MotionModel]) -> np.dtype[Any]:
 
 #: The type of a ``ChainModel``'s record.
 ChainConstants: Final = _record_type(ChainModel)
+#: The type of a ``RingModel``'s record.
+RingConstants: Final = _record_type(RingModel)
+#: The type of a ``LatticeModel``'s record.
+LatticeConstants: Final = _record_type(LatticeModel)

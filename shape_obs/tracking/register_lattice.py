@@ -8,7 +8,7 @@ Point Patterns", 1991), and the fourth has to follow. The sides between visible 
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,7 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.geometry.coons import SIDE, side_lengths
 from shape_obs.geometry.rotation import laid_flat, similarity
+from shape_obs.tracking.model import LatticeConstants, Model  # noqa: F401 - the first in a signature
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -23,30 +24,9 @@ Mask = npt.NDArray[np.bool_]
 Complexes = npt.NDArray[np.complex128]
 Vector = tuple[float, float, float]
 
-# Of half a diagonal. Cloths that bend and move by 30 px a frame stay below 0.025, a hand 12 px in radius makes 0.11.
-STRAYED: Final = 0.06
-# The choice of corners weighs the squares of these deviations: of all of them in place, as a share of half a diagonal;
-# in radians of turn; in the logarithm of the scale. A hidden corner costs as much as three deviations; a side that is
-# too long, with something over its middle, at most two.
-_MOVED: Final = 0.3
-_TURNED: Final = 0.35
-_SCALED: Final = 0.15
-_HIDDEN: Final = 3.0
-_DETOUR: Final = 2.0
 _NEAREST: Final = 5  # places among which each corner is looked for
-_REACH: Final = 0.8  # of half a diagonal: no corner is looked for farther off
-
-# A side may be so much longer or shorter than it is known to be: as a share, without depth and with it, and in pixels.
-# Without depth all sides together may grow and shrink, as the sheet comes nearer.
-_SLACK: Final = ((0.04, 0.07), 2.0)
-_ZOOM: Final = 0.03
-# Without depth, what hides a part is seen by a turn of the outline where it did not turn before, in radians: a sheet
-# that bends on a table has none, but its corners are sheared.
+_AROUND: Final = 1.5  # outlines: corners in order go around once, in another order twice
 _CHORD: Final = 3  # points of a border to either side, over which it is seen to turn
-_CUT: Final = (math.cos(0.38), math.cos(0.6))  # between corners, and next to them
-# Without depth, a border that lies off its known form by so much, as a share of a side and in pixels, is not its own.
-_DENTED: Final = (0.035, 1.5)
-_BUCKLED: Final = 0.8  # of its length a side that has buckled measures at least
 FITS, SHORTER, LONGER, MOVED = 0, 1, 2, 3  # what ``compare_sheet`` returns
 
 
@@ -130,9 +110,9 @@ def _cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8[::1], f8, f8[::1], f8[::1], f8)")
+@compiled("(f8[:,::1], f8[:,::1], f8[::1], f8, f8[::1], f8[::1], f8, LatticeConstants[::1])")
 def assign_corners(
-    expected: Array, places: Array, arcs: Array, whole: float, sides: Array, slack: Array, astray: float
+    expected: Array, places: Array, arcs: Array, whole: float, sides: Array, slack: Array, spread: float, model: Model
 ) -> tuple[Indices, float]:
     """Return which of the places where an outline turns are the corners of a sheet; -1 for one that is hidden.
 
@@ -143,12 +123,13 @@ def assign_corners(
         whole: The outline's length.
         sides: ``(4,)`` the sheet's known lengths, from each corner to the next.
         slack: ``(4,)`` by which a length may be off.
-        astray: By how much a corner may lie from where the others put it, as a share of half a diagonal.
+        spread: Standard deviation of a corner from where the others put it, half diagonals.
+        model: ``(1,)`` the constants.
 
     Returns:
         ``(4,)`` indices, at least two of them places; and the cost. All -1 if no choice is possible.
     """
-    count = len(places)
+    count, constants = len(places), model[0]
     centre, reach = complex(0, 0), 0.0
     at, to = np.empty(4, np.complex128), np.empty(max(count, 1), np.complex128)
     for k in range(4):
@@ -160,7 +141,7 @@ def assign_corners(
         to[q] = complex(places[q, 0], places[q, 1])
     near = np.full((4, _NEAREST), -1, np.int64)
     for k in range(4):
-        far = np.full(_NEAREST, _REACH * reach)
+        far = np.full(_NEAREST, constants.corner_reach * reach)
         for q in range(count):
             away, to_put = abs(to[q] - at[k]), q
             for i in range(_NEAREST):  # insert it in order
@@ -178,7 +159,7 @@ def assign_corners(
             visible += chosen[k] >= 0
         if not possible or visible < 2:
             continue
-        cost = _cost_of_corners(chosen, visible, at, to, arcs, whole, sides, slack, reach, astray)
+        cost = _cost_of_corners(chosen, visible, at, to, arcs, whole, sides, slack, reach, spread, constants)
         if cost < least:
             least = cost
             for k in range(4):
@@ -189,11 +170,11 @@ def assign_corners(
 @compiled
 def _cost_of_corners(
     chosen: Indices, visible: int, at: Complexes, to: Complexes, arcs: Array, whole: float, sides: Array,
-    slack: Array, reach: float, astray: float,
+    slack: Array, reach: float, spread: float, model: Any,
 ) -> float:  # fmt: skip
     """Return what a choice of corners costs, infinity if they are not in order; see ``assign_corners``."""
     before = after = product = complex(0, 0)
-    around, spread, cost, last = 0.0, 1e-18, _HIDDEN * (4 - visible), -1
+    around, square, cost, last = 0.0, 1e-18, model.cost_of_hiding * (4 - visible), -1
     for k in range(4):
         if chosen[k] >= 0:
             before, after, last = before + at[k] / visible, after + to[chosen[k]] / visible, k
@@ -201,29 +182,30 @@ def _cost_of_corners(
         if chosen[k] < 0:
             continue
         product += (at[k] - before).conjugate() * (to[chosen[k]] - after)
-        spread += abs(at[k] - before) ** 2
+        square += abs(at[k] - before) ** 2
         gap = (arcs[chosen[k]] - arcs[chosen[last]]) % whole
         around += gap
         if gap <= 0:
             return np.inf
         if (last + 1) % 4 == k:
             off = (gap - sides[last]) / slack[last]
-            cost += min(off * off, _DETOUR) if off > 0 else off * off
+            cost += min(off * off, model.cost_of_detour) if off > 0 else off * off
         last = k
-    product /= spread
-    if around > 1.5 * whole or abs(product) < 0.5:
+    product /= square
+    if around > _AROUND * whole or abs(product) < model.min_scale:
         return np.inf
     for k in range(4):
         if chosen[k] >= 0:
-            cost += (abs(to[chosen[k]] - after - product * (at[k] - before)) / (astray * reach)) ** 2
-    cost += (abs(after - before) / (_MOVED * reach)) ** 2 + (math.log(abs(product)) / _SCALED) ** 2
-    return float(cost + (math.atan2(product.imag, product.real) / _TURNED) ** 2)
+            cost += (abs(to[chosen[k]] - after - product * (at[k] - before)) / (spread * reach)) ** 2
+    cost += (abs(after - before) / (model.shift_spread * reach)) ** 2
+    cost += (math.log(abs(product)) / model.scale_spread) ** 2
+    return float(cost + (math.atan2(product.imag, product.real) / model.turn_spread) ** 2)
 
 
 @compiled
 def compare_sheet(
-    border: Array, known: Array, sides: Array, slack: Array, metric: bool, buckled: bool
-) -> tuple[int, int]:  # fmt: skip
+    border: Array, known: Array, sides: Array, slack: Array, metric: bool, buckled: bool, model: Any
+) -> tuple[int, int]:
     """Return what of a sheet's border does not fit to what is known of it: a code, and the side.
 
     Args:
@@ -233,20 +215,21 @@ def compare_sheet(
         slack: ``(4,)`` by how much they may be off.
         metric: Whether the unit is a metre, not a pixel.
         buckled: Whether sides may be shorter, since nothing lies over them that could hide a part.
+        model: The constants, one ``LatticeModel``.
     """
     if not metric:
-        turned = False
+        turned, side_cut, corner_cut = False, math.cos(model.cut_turn[0]), math.cos(model.cut_turn[1])
         for p in range(4 * SIDE):
             near = abs((p + SIDE // 2) % SIDE - SIDE // 2) <= _CHORD
             more = _turn(border, p) * _turn(known, p).conjugate()
-            turned = turned or more.real <= _CUT[1 if near else 0] * abs(more)
+            turned = turned or more.real <= (corner_cut if near else side_cut) * abs(more)
         if not turned:
             return FITS, 0
     lengths = side_lengths(border)
-    zoom, side, most = 1.0 if metric else zoom_of(lengths, sides), 0, 0.0
+    zoom, side, most = 1.0 if metric else zoom_of(lengths, sides, model.max_zoom), 0, 0.0
     for k in range(4):
         off = (lengths[k] / zoom - sides[k]) / slack[k]
-        if buckled and off < 0 and lengths[k] > _BUCKLED * sides[k]:
+        if buckled and off < 0 and lengths[k] > model.min_buckled * sides[k]:
             off = 0.0
         if abs(off) > abs(most):
             side, most = k, off
@@ -256,28 +239,28 @@ def compare_sheet(
         laid, far = laid_flat(known, similarity(known, border, np.ones(len(known), np.bool_))), 0.0
         for p in range(4 * SIDE):
             far = max(far, (border[p, 0] - laid[p, 0]) ** 2 + (border[p, 1] - laid[p, 1]) ** 2)
-        if math.sqrt(far) > _DENTED[1] + _DENTED[0] * sides.mean():
+        if math.sqrt(far) > model.dent[1] + model.dent[0] * sides.mean():
             return MOVED, 0
     return FITS, 0
 
 
-@compiled("(f8[::1], b1, f8)")
-def known_slack(sides: Array, metric: bool, scale: float) -> Array:
-    """Return ``(4,)`` by how much the sides of a sheet may be off; ``scale`` is a pixel's length in their unit."""
+@compiled("(f8[::1], f8, f8)")
+def known_slack(sides: Array, share: float, least: float) -> Array:
+    """Return ``(4,)`` by how much the sides of a sheet may be off: a share of their lengths, and a least length."""
     out = np.empty(4)
     for k in range(4):
-        out[k] = max(_SLACK[0][1 if metric else 0] * sides[k], _SLACK[1] * scale)
+        out[k] = max(share * sides[k], least)
     return out
 
 
 @compiled
-def zoom_of(lengths: Array, sides: Array) -> float:
-    """Return by how much all sides have become longer; what hides a part shortens two or three of them."""
-    most = second = 0.0
+def zoom_of(lengths: Array, sides: Array, most: float) -> float:
+    """Return by how much all sides have become longer, or ``most``; what hides a part shortens two or three of them."""
+    longest = second = 0.0
     for k in range(4):
         longer = lengths[k] / sides[k]
-        most, second = max(most, longer), max(second, min(most, longer))
-    return min(max(second, 1 - _ZOOM), 1 + _ZOOM)
+        longest, second = max(longest, longer), max(second, min(longest, longer))
+    return min(max(second, 1 - most), 1 + most)
 
 
 @compiled

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,53 +21,57 @@ from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.outline import unround, wave_table, waves
 from shape_obs.geometry.polyline import arc_length, closed, even_around
 from shape_obs.tracking.complete_ring import may_be_hidden
+from shape_obs.tracking.model import Model, RingConstants, RingModel  # noqa: F401 - the second in a signature
 from shape_obs.tracking.predict import Prediction
-from shape_obs.tracking.register_ring_in_space import blend_space, index_shift_space, place_weight
+from shape_obs.tracking.register_ring_in_space import (
+    HARMONICS,
+    PEAKS,
+    SHIFTS,
+    WAVES,
+    blend_space,
+    index_shift_space,
+    place_weight,
+)
 
 Array = npt.NDArray[np.float64]
 
-# Numbered by the last frame alone, an outline of noisy pixels creeps by 6 px in 180 frames. The mean of some twenty
-# frames holds it, and is left behind by slow changes of shape alone.
-_FORGETTING: Final = 0.05
-_MOST_FORGOTTEN: Final = 0.003  # of the radius, in a frame: what a hand hides little by little is not forgotten
-# How much the place and direction of an outline weigh against its shape, whose match is worth 1. A square fits itself
-# four ways, a towel two: the way that turns least is chosen.
-_TURNING: Final = 0.05
-# Waves around the outline that are compared: more cost time and change nothing, and on a noisy circle they mislead.
-_HARMONICS: Final = 12
-# Shifts at which a peak is looked for, ten to the shortest wave, and half-widths of the parabolas through it, in turns.
-_SHIFTS: Final = 128
-_PEAKS: Final = (0.5 / 128, 0.1 / 128)
-_ROUND = 2 * np.pi / _SHIFTS * np.outer(np.arange(1, _HARMONICS + 1), np.arange(_SHIFTS))
-_COS, _SIN = np.cos(_ROUND), np.sin(_ROUND)
+# The waves at each shift, ``(12, 128)``.
+_COS, _SIN = np.ascontiguousarray(WAVES[:, 0].T), np.ascontiguousarray(WAVES[:, 1].T)
 
 
-def match_outline(curve: FittedCurve, prediction: Prediction) -> tuple[FittedCurve, Array]:
+def match_outline(curve: FittedCurve, prediction: Prediction, model: RingModel) -> tuple[FittedCurve, Array]:
     """Renumber a closed curve, clockwise as seen, from the place where the predicted outline begins.
 
     Returns the same curve from there on, and its ``(K, D)`` nodes, equally spaced.
     """
     reference, count = prediction.reference, len(prediction.nodes)
     if curve.points.shape[1] == 2:
-        points, arc, nodes, reference, turning = renumber_outline(curve.points, reference, prediction.nodes)
+        points, arc, nodes, reference, turning = renumber_outline(
+            curve.points, reference, prediction.nodes, model.record
+        )
         turned = FittedCurve(points, np.zeros(len(points), bool), arc, True)
     else:
         nodes = curve.even(count)
-        shift, turning = index_shift_space(reference, prediction.nodes, nodes, nodes, prediction.resolution)
+        shift, turning = index_shift_space(
+            reference, prediction.nodes, nodes, nodes, prediction.resolution, model.record
+        )
         turned = curve.starting_at(shift * curve.size / count)
         nodes = turned.even(count)
-        reference = blend_space(reference, nodes)
+        reference = blend_space(reference, nodes, model.outline_gain)
     return replace(turned, hints=TrackHints(reference=reference, turning=turning)), nodes
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8[:,::1])")
-def renumber_outline(points: Array, reference: Array, predicted: Array) -> tuple[Array, Array, Array, Array, float]:
+@compiled("(f8[:,::1], f8[:,::1], f8[:,::1], RingConstants[::1])")
+def renumber_outline(
+    points: Array, reference: Array, predicted: Array, model: Model
+) -> tuple[Array, Array, Array, Array, float]:
     """Renumber an outline in the plane from where it began before.
 
     Args:
         points: ``(P, 2)``.
         reference: ``(K, 2)`` equidistant around the outline as it was, wherever it lay.
         predicted: ``(K, 2)`` the same nodes where they are expected.
+        model: ``(1,)`` the constants.
 
     Returns:
         ``(P', 2)`` the same outline from there on, P' = P or P + 1; ``(P' + 1,)`` its arc length, the last entry the
@@ -77,12 +81,13 @@ def renumber_outline(points: Array, reference: Array, predicted: Array) -> tuple
     count, around = len(predicted), closed(points)
     arc = arc_length(around)
     gap = arc[-1] / count
-    shift, turning = index_shift(reference, predicted, even_around(around, arc, 0.0, count))
+    shift, turning = index_shift(reference, predicted, even_around(around, arc, 0.0, count), model[0])
     turned = _from(points, arc, shift * gap)
     around = closed(turned)
     arc = arc_length(around)
     nodes = even_around(around, arc, 0.0, count)
-    return turned, arc, nodes, blend(reference, nodes), turning
+    known = blend(reference, nodes, model[0].outline_gain, model[0].max_outline_change)
+    return turned, arc, nodes, known, turning
 
 
 @compiled("(f8[:,::1], f8[:,::1], f8, i8)")
@@ -107,9 +112,9 @@ def begin_outline(points: Array, space: Array, start: float, count: int) -> tupl
     return points, space, arc_length(around), nodes, places
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])")
+@compiled("(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], RingConstants[::1])")
 def follow_outline(
-    points: Array, space: Array, reference: Array, predicted: Array
+    points: Array, space: Array, reference: Array, predicted: Array, model: Model
 ) -> tuple[Array, Array, Array, Array, Array, float, bool]:
     """Renumber an outline in an image from where it began before, by its form in space if that is known.
 
@@ -118,6 +123,7 @@ def follow_outline(
         space: ``(P, 3)`` the same in metres, for a reference in metres.
         reference: ``(K, D)`` equidistant around the outline as it was, wherever it lay.
         predicted: ``(K, 2)`` the same nodes where they are expected, pixels.
+        model: ``(1,)`` the constants.
 
     Returns:
         The points from there on ``(P', 2)``; in metres ``(P', 3)``, or ``(0, 3)``; arc length in pixels ``(P' + 1,)``;
@@ -126,14 +132,14 @@ def follow_outline(
     """
     count = len(predicted)
     if reference.shape[1] == 2:
-        turned, arc, nodes, known, turning = renumber_outline(points, reference, predicted)
-        return turned, np.empty((0, 3)), arc, nodes, known, turning, may_be_hidden(nodes, reference)
+        turned, arc, nodes, known, turning = renumber_outline(points, reference, predicted, model)
+        return turned, np.empty((0, 3)), arc, nodes, known, turning, may_be_hidden(nodes, reference, model[0])
     around, lifted = closed(points), closed(space)
     metres = arc_length(lifted)
     found, seen = even_around(lifted, metres, 0.0, count), even_around(around, metres, 0.0, count)
-    shift, turning = index_shift_space(reference, predicted, found, seen, 1.0)
+    shift, turning = index_shift_space(reference, predicted, found, seen, 1.0, model)
     turned, there, arc, nodes, places = begin_outline(points, space, shift * (metres[-1] / count), count)
-    return turned, there, arc, nodes, blend_space(reference, places), turning, False
+    return turned, there, arc, nodes, blend_space(reference, places, model[0].outline_gain), turning, False
 
 
 @compiled
@@ -162,39 +168,40 @@ def _from(points: Array, arc: Array, start: float) -> Array:
 
 
 @compiled
-def index_shift(reference: Array, predicted: Array, found: Array) -> tuple[float, float]:
+def index_shift(reference: Array, predicted: Array, found: Array, model: Any) -> tuple[float, float]:
     """Return by how many places the numbering has moved: node k of the past is now at ``found[k + shift]``.
 
     Args:
         reference: ``(K, 2)`` equidistant around the outline as it was, wherever it lay.
         predicted: ``(K, 2)`` the same nodes where they are expected.
         found: ``(K, 2)`` equidistant around the outline that was found, in the same direction.
+        model: The constants, one ``RingModel``.
 
     Returns:
         Places; fractions of a place too. And how far a turning can be believed, 0...1.
     """
-    cos, sin = wave_table(len(found), _HARMONICS)
+    cos, sin = wave_table(len(found), HARMONICS)
     known, seen = waves(reference, cos, sin), waves(found, cos, sin)
     shape, place = _spectrum(known, seen), _spectrum(waves(predicted, cos, sin), seen)
-    real, imaginary, still = np.zeros(_SHIFTS), np.zeros(_SHIFTS), np.zeros(_SHIFTS)
-    for h in range(_HARMONICS):
-        for s in range(_SHIFTS):
+    real, imaginary, still = np.zeros(SHIFTS), np.zeros(SHIFTS), np.zeros(SHIFTS)
+    for h in range(HARMONICS):
+        for s in range(SHIFTS):
             real[s] += shape[0, h] * _COS[h, s] + shape[1, h] * _SIN[h, s]
             imaginary[s] += shape[2, h] * _COS[h, s] + shape[3, h] * _SIN[h, s]
             still[s] += place[0, h] * _COS[h, s] + place[1, h] * _SIN[h, s]
-    turned, score, at, best = np.empty(_SHIFTS), np.empty(_SHIFTS), 0, -np.inf
-    for s in range(_SHIFTS):
+    turned, score, at, best = np.empty(SHIFTS), np.empty(SHIFTS), 0, -np.inf
+    for s in range(SHIFTS):
         turned[s] = math.sqrt(real[s] * real[s] + imaginary[s] * imaginary[s])
-        match = turned[s] + _TURNING * still[s]
+        match = turned[s] + model.start_weight * still[s]
         if match > best:
             at, best = s, match
-    flat, turning = place_weight(predicted, min(unround(known), unround(seen)), 1.0)
-    for s in range(_SHIFTS):
+    flat, turning = place_weight(predicted, min(unround(known), unround(seen)), 1.0, model)
+    for s in range(SHIFTS):
         score[s] = turned[s] + flat * still[s]
-    while max(score[at - 1], score[(at + 1) % _SHIFTS]) > score[at]:
-        at = (at - 1 if score[at - 1] >= score[(at + 1) % _SHIFTS] else at + 1) % _SHIFTS
-    turns = at / _SHIFTS
-    for width in _PEAKS:
+    while max(score[at - 1], score[(at + 1) % SHIFTS]) > score[at]:
+        at = (at - 1 if score[at - 1] >= score[(at + 1) % SHIFTS] else at + 1) % SHIFTS
+    turns = at / SHIFTS
+    for width in PEAKS:
         low, middle = _score(shape, place, flat, turns - width), _score(shape, place, flat, turns)
         high = _score(shape, place, flat, turns + width)
         bend = low - 2 * middle + high
@@ -204,8 +211,11 @@ def index_shift(reference: Array, predicted: Array, found: Array) -> tuple[float
 
 
 @compiled
-def blend(reference: Array, found: Array) -> Array:
-    """Return the reference laid over ``found`` and moved a little there, all ``(K, 2)``."""
+def blend(reference: Array, found: Array, gain: float, most: float) -> Array:
+    """Return the reference placed over ``found`` and moved a share of the way there, all ``(K, 2)``.
+
+    No node moves by more than a share of the radius.
+    """
     count = len(found)
     before_u = before_v = after_u = after_v = 0.0
     for k in range(count):
@@ -223,12 +233,12 @@ def blend(reference: Array, found: Array) -> Array:
     reach = math.sqrt(cosine * cosine + sine * sine)
     cosine, sine = (cosine / reach, sine / reach) if reach > 0 else (1.0, 0.0)
     out = np.empty_like(found)
-    most = _MOST_FORGOTTEN * math.sqrt(size / count)
+    most *= math.sqrt(size / count)
     for k in range(count):
         x, y = reference[k, 0] - before_u, reference[k, 1] - before_v
         u, v = x * cosine - y * sine + after_u, x * sine + y * cosine + after_v
-        out[k, 0] = u + max(-most, min(_FORGETTING * (found[k, 0] - u), most))
-        out[k, 1] = v + max(-most, min(_FORGETTING * (found[k, 1] - v), most))
+        out[k, 0] = u + max(-most, min(gain * (found[k, 0] - u), most))
+        out[k, 1] = v + max(-most, min(gain * (found[k, 1] - v), most))
     return out
 
 
@@ -239,9 +249,9 @@ def _spectrum(before: Array, after: Array) -> Array:
     A wave of u + iv that runs forwards is (u_cos + v_sin) + i (v_cos - u_sin), and one that runs backwards has the
     other signs; the correlation multiplies the conjugate of the one with the other. A perfect match gives 1.
     """
-    out = np.empty((4, _HARMONICS))
+    out = np.empty((4, HARMONICS))
     first = second = 0.0
-    for h in range(_HARMONICS):
+    for h in range(HARMONICS):
         a, b, c, d = before[0, h], before[1, h], before[2, h], before[3, h]
         e, f, g, i = after[0, h], after[1, h], after[2, h], after[3, h]
         ahead = complex(a + d, -(c - b)) * complex(e + i, g - f)
@@ -252,7 +262,7 @@ def _spectrum(before: Array, after: Array) -> Array:
         out[2, h], out[3, h] = ahead.imag + back.imag, ahead.real - back.real
     scale = max(math.sqrt(first * second), 1e-12)
     for k in range(4):
-        for h in range(_HARMONICS):
+        for h in range(HARMONICS):
             out[k, h] /= scale
     return out
 
@@ -263,7 +273,7 @@ def _score(shape: Array, place: Array, flat: float, turns: float) -> float:
     step = complex(math.cos(2 * math.pi * turns), math.sin(2 * math.pi * turns))
     wave = step
     real = imaginary = still = 0.0
-    for h in range(_HARMONICS):
+    for h in range(HARMONICS):
         real += shape[0, h] * wave.real + shape[1, h] * wave.imag
         imaginary += shape[2, h] * wave.real + shape[3, h] * wave.imag
         still += place[0, h] * wave.real + place[1, h] * wave.imag

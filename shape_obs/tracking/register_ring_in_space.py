@@ -6,7 +6,7 @@ As in the plane, the best rigid motion for every cyclic shift follows from the c
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -14,32 +14,23 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.geometry.outline import unround, wave_table, waves
 from shape_obs.geometry.rotation import best_rotation, covariance_of, largest_trace
+from shape_obs.tracking.model import Model, RingConstants  # noqa: F401 - the second in a signature
 
 Array = npt.NDArray[np.float64]
 
-_FORGETTING: Final = 0.05  # by which share what is known follows what is found, in a frame
-_TURNING: Final = 0.05  # as in the plane
-# How much the place of an outline weighs where its form says nothing, relative to a match of 1: at any size, since an
-# object may change its form, and in squares of what is resolved, for noise. It shrinks as the outline is less round,
-# since what is predicted of a turning outline lags behind.
-_FLAT: Final = (3e-4, 1.0)
-_ROUND: Final = 0.06  # what the staircase of pixels makes of a circle, in square pixels
-_HARMONICS: Final = 12
-_SHIFTS: Final = 128
-_PEAKS: Final = (0.5 / 128, 0.1 / 128)
-_ALIKE: Final = 0.98  # a better match of forms in space is looked for near the expected place alone
-_STEPS: Final = 5
+HARMONICS: Final = 12  # waves around the outline that are compared: on a noisy circle more of them mislead
+SHIFTS: Final = 128  # at which a peak is looked for, ten to the shortest wave
+PEAKS: Final = (0.5 / SHIFTS, 0.1 / SHIFTS)  # turns: half-widths of the parabolas through it, one after the other
+_ANGLES = 2 * np.pi * np.outer(np.arange(SHIFTS) / SHIFTS, np.arange(1, HARMONICS + 1))  # radians
+WAVES: Final = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)  # (128, 2, 12) cosines and sines at each shift
+_NEARBY: Final = SHIFTS // 8  # shifts to either side of the expected one that are tried first
+_STEPS: Final = 5  # of Gauss-Newton
 _COMPARED: Final = 48  # of the nodes, at least
-_BENT: Final = 2.0  # median distances: what lies farther off has bent
-_FARTHEST: Final = 1 / 24  # of the outline
-# Cosines and sines of the waves at each of the shifts that are looked at: ``(128, 2, 12)``.
-_ANGLES = 2 * np.pi * np.outer(np.arange(_SHIFTS) / _SHIFTS, np.arange(1, _HARMONICS + 1))
-_GRID: Final = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
 
 
-@compiled("(f8[:,::1], f8[:,::1])")
-def blend_space(reference: Array, found: Array) -> Array:
-    """Return the reference laid over ``found`` and moved a little there, all ``(K, 3)``."""
+@compiled("(f8[:,::1], f8[:,::1], f8)")
+def blend_space(reference: Array, found: Array, gain: float) -> Array:
+    """Return the reference placed over ``found`` and moved a share of the way there, all ``(K, 3)``."""
     covariance, before, after = covariance_of(reference, found)
     rotation = best_rotation(covariance)
     out = np.empty_like(found)
@@ -48,44 +39,45 @@ def blend_space(reference: Array, found: Array) -> Array:
             laid = after[d]
             for e in range(3):
                 laid += (reference[k, e] - before[e]) * rotation[e, d]
-            out[k, d] = laid + _FORGETTING * (found[k, d] - laid)
+            out[k, d] = laid + gain * (found[k, d] - laid)
     return out
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8)")
+@compiled("(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8, RingConstants[::1])")
 def index_shift_space(
-    reference: Array, predicted: Array, found: Array, seen: Array, resolution: float
+    reference: Array, predicted: Array, found: Array, seen: Array, resolution: float, model: Model
 ) -> tuple[float, float]:
     """Return what ``index_shift`` returns, by forms in space ``(K, 3)`` and places, expected and seen, ``(K, D)``.
 
-    The resolution is that of the places.
+    The resolution is that of the places; ``(1,)`` the constants.
     """
-    cos, sin = wave_table(len(found), _HARMONICS)
+    constants = model[0]
+    cos, sin = wave_table(len(found), HARMONICS)
     before, after = waves(reference, cos, sin), waves(found, cos, sin)
     shape = _cross_spectrum(before, after)
     place = _traced(_cross_spectrum(waves(predicted, cos, sin), waves(seen, cos, sin)))
-    still, turned, expected = np.empty(_SHIFTS), np.full(_SHIFTS, -np.inf), 0
-    for s in range(_SHIFTS):
-        still[s] = _stayed(place, _GRID[s])
+    still, turned, expected = np.empty(SHIFTS), np.full(SHIFTS, -np.inf), 0
+    for s in range(SHIFTS):
+        still[s] = _stayed(place, WAVES[s])
         expected = s if still[s] > still[expected] else expected
-    first, count, best = expected - _SHIFTS // 8, 2 * (_SHIFTS // 8) + 1, expected
+    first, count, best = expected - _NEARBY, 2 * _NEARBY + 1, expected
     for s in range(first, first + count):
-        turned[s % _SHIFTS] = _turned(shape, _GRID[s % _SHIFTS])
-        best = s if turned[s % _SHIFTS] > turned[best % _SHIFTS] else best
-    if turned[best % _SHIFTS] < _ALIKE or best in (first, first + count - 1):  # it has turned far
-        first, count = 0, _SHIFTS
-        for s in range(_SHIFTS):
-            turned[s] = _turned(shape, _GRID[s])
+        turned[s % SHIFTS] = _turned(shape, WAVES[s % SHIFTS])
+        best = s if turned[s % SHIFTS] > turned[best % SHIFTS] else best
+    if turned[best % SHIFTS] < constants.alike or best in (first, first + count - 1):  # it has turned far
+        first, count = 0, SHIFTS
+        for s in range(SHIFTS):
+            turned[s] = _turned(shape, WAVES[s])
     at, match = 0, -np.inf
-    for s in range(_SHIFTS):
-        if turned[s] + _TURNING * still[s] > match:
-            at, match = s, turned[s] + _TURNING * still[s]
-    flat, turning = place_weight(predicted, min(unround(before), unround(after)), resolution)
+    for s in range(SHIFTS):
+        if turned[s] + constants.start_weight * still[s] > match:
+            at, match = s, turned[s] + constants.start_weight * still[s]
+    flat, turning = place_weight(predicted, min(unround(before), unround(after)), resolution, constants)
     score = turned + flat * still
-    while max(score[at - 1], score[(at + 1) % _SHIFTS]) > score[at]:
-        at = (at - 1 if score[at - 1] >= score[(at + 1) % _SHIFTS] else at + 1) % _SHIFTS
-    turns = at / _SHIFTS
-    for width in _PEAKS:
+    while max(score[at - 1], score[(at + 1) % SHIFTS]) > score[at]:
+        at = (at - 1 if score[at - 1] >= score[(at + 1) % SHIFTS] else at + 1) % SHIFTS
+    turns = at / SHIFTS
+    for width in PEAKS:
         behind, here, ahead = _wave(turns - width), _wave(turns), _wave(turns + width)
         low = _turned(shape, behind) + flat * _stayed(place, behind)
         middle = _turned(shape, here) + flat * _stayed(place, here)
@@ -94,19 +86,21 @@ def index_shift_space(
         if bend < 0:
             turns += width * min(max((low - high) / (2 * bend), -1.0), 1.0)
     stay = _peak(place, expected) * len(found)
-    return _without_bends(before, after, cos, sin, turns * len(found), stay, flat), turning
+    return _without_bends(before, after, cos, sin, turns * len(found), stay, flat, constants), turning
 
 
 @compiled
-def place_weight(predicted: Array, contrast: float, resolution: float) -> tuple[float, float]:
+def place_weight(predicted: Array, contrast: float, resolution: float, model: Any) -> tuple[float, float]:
     """Return how much the place of an outline weighs against its form, and how far its turning can be believed.
 
     The form of a round outline does not say how it has turned: the noise of its pixels does, and would turn it by gaps.
+    The weight falls as the outline is less round, since what is predicted of a turning outline lags behind.
 
     Args:
         predicted: ``(K, D)`` where it is expected.
         contrast: How far the outline is from a circle, see ``unround``.
         resolution: In the unit of the places.
+        model: The constants, one ``RingModel``.
 
     Returns:
         The weight, relative to a match of 1; 0...1.
@@ -115,22 +109,22 @@ def place_weight(predicted: Array, contrast: float, resolution: float) -> tuple[
     for d in range(predicted.shape[1]):
         square += np.var(predicted[:, d])
     small = resolution**2 / max(square, 1e-18)
-    flat, noise = _FLAT[0] + _FLAT[1] * small, _ROUND * small
+    flat, noise = model.place_weight[0] + model.place_weight[1] * small, model.staircase * small
     return flat / (1 + contrast / flat), 1 / (1 + (noise / max(contrast, 1e-9 * noise)) ** 2)
 
 
 @compiled
 def _peak(place: Array, at: int) -> float:
     """Return the shift at which places match best, in turns, next to one of those that are looked at."""
-    low, middle = _stayed(place, _GRID[at - 1]), _stayed(place, _GRID[at])
-    high = _stayed(place, _GRID[(at + 1) % _SHIFTS])
+    low, middle = _stayed(place, WAVES[at - 1]), _stayed(place, WAVES[at])
+    high = _stayed(place, WAVES[(at + 1) % SHIFTS])
     bend = low - 2 * middle + high
-    return (at + (min(max((low - high) / (2 * bend), -1.0), 1.0) if bend < 0 else 0.0)) / _SHIFTS
+    return (at + (min(max((low - high) / (2 * bend), -1.0), 1.0) if bend < 0 else 0.0)) / SHIFTS
 
 
 @compiled
 def _without_bends(
-    reference: Array, found: Array, cos: Array, sin: Array, shift: float, stay: float, flat: float
+    reference: Array, found: Array, cos: Array, sin: Array, shift: float, stay: float, flat: float, model: Any
 ) -> float:
     """Refine a shift by those parts of an outline that have moved rigidly; the others count for little.
 
@@ -148,9 +142,14 @@ def _without_bends(
         shift: To refine, places.
         stay: Where the place of the outline is expected, the same.
         flat: How much that weighs.
+        model: The constants, one ``RingModel``.
     """
     count = cos.shape[1]
-    low, high, every = shift - _FARTHEST * count, shift + _FARTHEST * count, max(count // _COMPARED, 1)
+    low, high, every = (
+        shift - model.max_refinement * count,
+        shift + model.max_refinement * count,
+        max(count // _COMPARED, 1),
+    )
     cos, sin = cos[:, ::every] * (2 / count), sin[:, ::every] * (2 / count)
     some = _drawn(reference, cos, sin)
     weight, moved, ahead, off = np.ones(len(some)), np.empty_like(found), np.empty_like(found), np.empty_like(some)
@@ -171,7 +170,7 @@ def _without_bends(
                 off[n, d] = places[n, d] - middle[d] - laid[n, d]
                 square += off[n, d] ** 2
             far[n] = math.sqrt(square)
-        reach = max(_BENT * np.median(far), 1e-9)
+        reach = max(model.outlier * np.median(far), 1e-9)
         normal, slope = np.zeros((7, 7)), np.zeros(7)
         for n in range(len(some)):
             weight[n] = 1 / (1 + (far[n] / reach) ** 2) ** 2
@@ -236,10 +235,10 @@ def _cross_spectrum(first: Array, second: Array) -> Array:
     """
     size = len(first) // 2
     scale = max(math.sqrt(np.sum(first * first) * np.sum(second * second)), 1e-12)
-    out = np.empty((size, size, 2, _HARMONICS))
+    out = np.empty((size, size, 2, HARMONICS))
     for d in range(size):
         for e in range(size):
-            for h in range(_HARMONICS):
+            for h in range(HARMONICS):
                 a, b, c, f = first[2 * d, h], first[2 * d + 1, h], second[2 * e, h], second[2 * e + 1, h]
                 out[d, e, 0, h], out[d, e, 1, h] = (a * c + b * f) / scale, (a * f - b * c) / scale
     return out
@@ -248,10 +247,10 @@ def _cross_spectrum(first: Array, second: Array) -> Array:
 @compiled
 def _traced(spectrum: Array) -> Array:
     """Return the spectrum of the trace of the covariance: ``(2, H)``."""
-    out = np.zeros((2, _HARMONICS))
+    out = np.zeros((2, HARMONICS))
     for d in range(len(spectrum)):
         for part in range(2):
-            for h in range(_HARMONICS):
+            for h in range(HARMONICS):
                 out[part, h] += spectrum[d, d, part, h]
     return out
 
@@ -259,8 +258,8 @@ def _traced(spectrum: Array) -> Array:
 @compiled
 def _wave(turns: float) -> Array:
     """Return the waves at a shift, in turns: ``(2, H)`` cosines and sines."""
-    out = np.empty((2, _HARMONICS))
-    for h in range(_HARMONICS):
+    out = np.empty((2, HARMONICS))
+    for h in range(HARMONICS):
         out[0, h], out[1, h] = math.cos(2 * math.pi * turns * (h + 1)), math.sin(2 * math.pi * turns * (h + 1))
     return out
 
@@ -279,6 +278,6 @@ def _turned(spectrum: Array, wave: Array) -> float:
 def _stayed(spectrum: Array, wave: Array) -> float:
     """Return the value of a spectrum ``(2, H)`` at the shift of a wave; of a trace, how well places match unturned."""
     total = 0.0
-    for h in range(_HARMONICS):
+    for h in range(HARMONICS):
         total += spectrum[0, h] * wave[0, h] + spectrum[1, h] * wave[1, h]
     return total

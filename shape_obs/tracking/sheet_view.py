@@ -18,6 +18,7 @@ from shape_obs.geometry.rotation import laid_flat, similarity
 from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Rim
 from shape_obs.tracking.complete_lattice import Border, Lens, complete_border, look_around
+from shape_obs.tracking.model import LatticeConstants, LatticeModel, Model  # noqa: F401 - the first in a signature
 from shape_obs.tracking.predict import Prediction
 from shape_obs.tracking.register_lattice import assign_corners, known_slack, zoom_of
 
@@ -27,21 +28,7 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-# What is known of the sides follows by so much in a frame, as a share, without depth and with it.
-_STRETCH: Final = (0.0022, 0.001)
-_FORGETTING: Final = 0.03
-_DOUBTED: Final = (0.3, 1.0)  # what lies farther from the known form, as a share of a gap and in pixels, is hidden
-_STEADY: Final = 0.5  # pixels: what lies off by less is learnt as fast as the rest
-_SOME: Final = 4  # every so many points of a lattice give that median
-_LOCAL: Final = 2.5  # median distances: what lies off by less has bent with the rest of the sheet
-_THROUGH: Final = 0.02  # of a sheet: the border of what is put back may lie a little outside
-_BEHIND: Final = 0.01  # metres: what lies farther behind a sheet would be hidden by it
-_INNER: Final = 0.06  # of the width: so far inside of its border the sheet's own plane is measured
-_KINK: Final = 0.45  # radians: a border turns so much within the sheet at a fold, and nowhere else but at a corner
-# Of half a diagonal, by which a corner may stray from where the others put it in a frame, and of the way, by which a
-# border may stray from its form: without depth, and with it, where tilt and perspective are no evidence.
-_ASTRAY: Final = (0.035, 0.12)
-_ASIDE: Final = (0.05, 0.12)
+_SOME: Final = 4  # every so many points of a lattice give the median distance
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +47,7 @@ class SheetView:
         camera: The projection where there is depth, else None.
         width: Of the mask's largest piece, pixels.
         lens: Focal lengths and principal point, if the camera is a pinhole.
+        model: The constants.
     """
 
     region: Region
@@ -73,6 +61,7 @@ class SheetView:
     camera: Intrinsics | None
     width: float
     lens: Lens
+    model: LatticeModel
 
     @property
     def scale(self) -> float:
@@ -99,8 +88,8 @@ class SheetView:
         within = (row >= 0) & (row < readable.shape[0]) & (column >= 0) & (column < readable.shape[1])
         behind = np.zeros(len(patch))
         behind[within] = readable[row[within], column[within]] * unit
-        through = (behind < FARTHEST) & (behind > patch[:, 2] + _BEHIND)
-        return float(np.mean(through & ~self.region.carries(lattice))) > _THROUGH
+        through = (behind < FARTHEST) & (behind > patch[:, 2] + self.model.behind)
+        return float(np.mean(through & ~self.region.carries(lattice))) > self.model.max_seen_through
 
     def turns_in_sheet(self, depth: npt.NDArray[Any]) -> Array:
         """Return ``(400,)`` radians by which the outline turns within the sheet, which bending does not change.
@@ -111,8 +100,10 @@ class SheetView:
         along = ahead - back
         inwards = np.stack([-along[:, 1], along[:, 0]], axis=1)
         inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
-        inner = self.rim + _INNER * self.region.width * inwards
-        lifted = look_around(self.region, np.ascontiguousarray(inner), depth_images(depth), self.camera, None)[0]
+        inner = self.rim + self.model.inner * self.region.width * inwards
+        lifted, _ = look_around(
+            self.region, np.ascontiguousarray(inner), depth_images(depth), self.camera, None, self.model.depth_limits
+        )
         if lifted is None:
             return np.zeros(len(self.rim))
         before = self.space - np.roll(self.space, TURN_REACH, axis=0)
@@ -137,20 +128,22 @@ class KnownSheet:
         lattice: ``(625, D)`` the sheet as it was, wherever it lay, in metres if that is known, else in pixels.
         sides: ``(4,)`` the lengths of its sides in the same unit.
         hints: What the track stores.
+        model: The constants.
     """
 
     expected: Array
     lattice: Array
     sides: Array
     hints: TrackHints
+    model: LatticeModel
 
     @classmethod
     def of(cls, prediction: Prediction, view: SheetView) -> KnownSheet:
         """Return what a track knows, in metres if it does and this frame can be compared with that."""
         expected, hints = border_of(prediction.nodes), prediction.hints
         if hints.reference is None or hints.sides is None or (hints.reference.shape[1] == 3 and view.camera is None):
-            return cls(expected, prediction.nodes, side_lengths(expected), hints)
-        return cls(expected, hints.reference, hints.sides, hints)
+            return cls(expected, prediction.nodes, side_lengths(expected), hints, view.model)
+        return cls(expected, hints.reference, hints.sides, hints, view.model)
 
     @property
     def metric(self) -> bool:
@@ -159,7 +152,8 @@ class KnownSheet:
 
     def slack(self, view: SheetView) -> Array:
         """Return ``(4,)`` by how much a side may be off."""
-        return known_slack(self.sides, self.metric, view.scale if self.metric else 1.0)
+        scale = view.scale if self.metric else 1.0
+        return known_slack(self.sides, self.model.length_tolerance[self.metric], self.model.border_noise * scale)
 
     def seen_beside(self, border: Border, patch: Array) -> TrackHints:
         """Return what is known after a frame in which a part of the border was put back.
@@ -172,58 +166,63 @@ class KnownSheet:
         if not whole.any() or self.hints.sides is None or self.lattice is not self.hints.reference:
             return self.hints
         share = float(np.median(side_lengths(border.points)[whole] / self.sides[whole]))
-        return self.hints._replace(sides=self.sides * np.clip(share, 1 - _STRETCH[True], 1 + _STRETCH[True]))
+        most = self.model.max_stretch[True]
+        return self.hints._replace(sides=self.sides * np.clip(share, 1 - most, 1 + most))
 
     def complete(self, view: SheetView, depth: npt.NDArray[Any] | None) -> Border | None:
         """Return the whole border, put back where it is hidden; None if too little of it is seen."""
         space = view.space if self.metric else view.rim
-        arc, slack = arc_length(_closed(space)), self.slack(view)
+        arc, slack, model = arc_length(_closed(space)), self.slack(view), self.model
         places = view.candidates[~view.cut[view.candidates]]
         expected = np.ascontiguousarray(self.expected[::SIDE])
-        at, astray = np.ascontiguousarray(view.rim[places]), _ASTRAY[self.metric]
-        found, cost = assign_corners(expected, at, arc[places], float(arc[-1]), self.sides, slack, astray)
+        at, spread = np.ascontiguousarray(view.rim[places]), model.corner_spread[self.metric]
+        whole = float(arc[-1])
+        found, cost = assign_corners(expected, at, arc[places], whole, self.sides, slack, spread, model.record)
         if not np.isfinite(cost):
             return None
         corners = np.where(found >= 0, places[found], -1)
         kinks = np.zeros(RIM, bool)
         if self.metric and depth is not None:
-            turns = np.abs(view.turns_in_sheet(depth)) > _KINK
+            turns = np.abs(view.turns_in_sheet(depth)) > model.fold_turn
             near = np.abs((np.arange(RIM) - corners[corners >= 0][:, None] + RIM // 2) % RIM - RIM // 2) <= TURN_REACH
             kinks = turns & ~near.any(axis=0)
         known = border_of(self.lattice)
         pattern = self.expected if self.metric else known
-        aside = _ASIDE[self.metric]
-        return complete_border(pattern, known, view.rim, space, corners, view.cut, kinks, self.sides, slack, aside)
+        bend = model.border_bend[self.metric]
+        return complete_border(
+            pattern, known, view.rim, space, corners, view.cut, kinks, self.sides, slack, bend, model
+        )
 
 
 @compiled
-def learn_sheet(known: Array, patch: Array, sides: Array) -> tuple[Array, Array]:
+def learn_sheet(known: Array, patch: Array, sides: Array, model: Any) -> tuple[Array, Array]:
     """Return what is known of a sheet after a frame in which all of it was seen: its lattice, and its sides ``(4,)``.
 
     Args:
         known: ``(625, D)`` as it was, wherever it lay: metres or pixels.
         patch: ``(625, D)`` as it lies.
         sides: ``(4,)`` lengths.
+        model: The constants, one ``LatticeModel``.
     """
     metric, lengths, learnt = known.shape[1] == 3, side_lengths(border_of(patch)), np.empty(4)
-    zoom = 1.0 if metric else zoom_of(lengths, sides)
+    zoom = 1.0 if metric else zoom_of(lengths, sides, model.max_zoom)
     for k in range(4):
-        stretch = _STRETCH[1 if metric else 0] * sides[k] * zoom
+        stretch = model.max_stretch[1 if metric else 0] * sides[k] * zoom
         learnt[k] = sides[k] * zoom + min(max(lengths[k] - sides[k] * zoom, -stretch), stretch)
     if metric:
         return patch, learnt
     laid = laid_flat(known, similarity(known, patch, np.ones(len(known), np.bool_)))
-    far, most = _apart(patch, laid), _STRETCH[1] * learnt.mean()
-    limit = max(_LOCAL * np.median(far[::_SOME]), _STEADY)
+    far, most = _apart(patch, laid), model.max_stretch[1] * learnt.mean()
+    limit = max(model.outlier * np.median(far[::_SOME]), model.form_noise)
     for p in range(len(patch)):
-        share = _FORGETTING * ((limit / far[p]) ** 4 if far[p] > limit else 1.0)
+        share = model.form_gain * ((limit / far[p]) ** 4 if far[p] > limit else 1.0)
         for d in range(2):
             laid[p, d] += min(max(share * (patch[p, d] - laid[p, d]), -most), most)
     return laid, learnt
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8)")
-def doubtful_places(known: Array, patch: Array, gap: float) -> npt.NDArray[np.bool_]:
+@compiled("(f8[:,::1], f8[:,::1], f8, LatticeConstants[::1])")
+def doubtful_places(known: Array, patch: Array, gap: float, model: Model) -> npt.NDArray[np.bool_]:
     """Return which points of a lattice are not where the known form has them, without depth, ``(625,)``.
 
     Something may lie over a border there that hides too little to be noticed by the border alone.
@@ -232,14 +231,16 @@ def doubtful_places(known: Array, patch: Array, gap: float) -> npt.NDArray[np.bo
         known: ``(625, 2)`` pixels, as it was, wherever it lay.
         patch: ``(625, 2)`` as it lies.
         gap: Between two points that are asked for, pixels.
+        model: ``(1,)`` the constants.
     """
+    share, pixels = model[0].hidden_place[0], model[0].hidden_place[1]
     near, out = np.ones(len(patch), np.bool_), np.zeros(len(patch), np.bool_)
     for last in (False, True):
         far = _apart(patch, laid_flat(known, similarity(known, patch, near)))
-        if not last and far.max() <= max(_DOUBTED[0] * gap, _DOUBTED[1]):
+        if not last and far.max() <= max(share * gap, pixels):
             break
-        own = _LOCAL * np.median(far[::_SOME])
-        limit = max(_DOUBTED[0] * gap, _DOUBTED[1], own) if last else max(own, _DOUBTED[1])
+        own = model[0].outlier * np.median(far[::_SOME])
+        limit = max(share * gap, pixels, own) if last else max(own, pixels)
         for p in range(len(patch)):
             near[p], out[p] = far[p] <= limit, far[p] > limit
     return out

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, DepthImages
 from shape_obs.geometry.curve import first_coordinates, with_relief
+from shape_obs.geometry.outline import SAMPLED
 from shape_obs.geometry.polyline import arc_length, even_points, interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
 from shape_obs.tracking.complete_chain import complete_chain
@@ -21,7 +22,7 @@ from shape_obs.tracking.complete_lattice import Edges, Lens
 from shape_obs.tracking.judge_chain import judge_chain
 from shape_obs.tracking.measure_chain import fit_chain_in_mask
 from shape_obs.tracking.measure_ring import see_outline
-from shape_obs.tracking.model import ChainConstants, Model  # noqa: F401 - the first in a signature
+from shape_obs.tracking.model import ChainConstants, DepthLimits, Model, RingConstants  # noqa: F401 - in signatures
 from shape_obs.tracking.register_chain import Ends, Expected, register_chain
 from shape_obs.tracking.register_ring import follow_outline
 from shape_obs.tracking.state import RopeState, State  # noqa: F401 - the first in a signature
@@ -193,11 +194,11 @@ def _show(now: Any, stations: Array) -> None:
 
 @compiled(
     "(u1[:,::1], i8[:,::1], i8, i8, i8, " + DEPTH_TYPE + ", UniTuple(i8, 4), UniTuple(f8, 4), i8, f8[:,::1], "
-    "f8[:,::1], f8, f8)"
+    "f8[:,::1], b1, RingConstants[::1], UniTuple(f8, 7))"
 )
 def step_ring_in_mask(
     mask: Mask, runs: Indices, pieces: int, left: int, top: int, depth: DepthImages, edge: Edges, camera: Lens,
-    largest: int, nodes: Array, known: Array, thinnest: float, hollow: float,
+    largest: int, nodes: Array, known: Array, band: bool, model: Model, limits: DepthLimits,
 ) -> RingStep:  # fmt: skip
     """Follow an outline into a mask that looks as it did.
 
@@ -213,18 +214,20 @@ def step_ring_in_mask(
         largest: Pixels of the largest component.
         nodes: ``(K, 2)`` where the outline is predicted.
         known: ``(K, D)`` its nodes in the past, wherever it was, in pixels or metres.
-        thinnest: The least width, pixels.
-        hollow: The least share of what it encloses that is not the object.
+        band: Whether the object is a closed band.
+        model: ``(1,)`` the constants.
+        limits: As ``see_outline`` takes it.
 
     Returns:
-        See ``RingStep``; not followed is what something lies over or may hide, is thinner or less hollow, or is seen in
-        space and was not, or the other way round: that is to be looked at more closely.
+        See ``RingStep``; not followed is what something lies over or may hide, is too thin or a band and not hollow, or
+        is seen in space and was not, or the other way round: that is to be looked at more closely.
     """
     curve, space, covered, miss, width, enclosed = see_outline(
-        mask, runs, pieces, left, top, depth, edge, camera, nodes[0], len(nodes)
+        mask, runs, pieces, left, top, depth, edge, camera, nodes[0], len(nodes), model[0].sigma, limits
     )
     as_it_was = not covered and (known.shape[1] == 3) == (len(space) > 0)
-    if not as_it_was or width < thinnest or 1 - largest / max(enclosed, 1.0) < hollow:
+    thin = width < model[0].min_width * SAMPLED
+    if not as_it_was or thin or (band and 1 - largest / max(enclosed, 1.0) < model[0].min_hollow):
         return False, curve, space, np.empty(0), nodes, known, 0.0, miss, width
-    curve, space, arc, nodes, known, turning, hidden = follow_outline(curve, space, known, nodes)
+    curve, space, arc, nodes, known, turning, hidden = follow_outline(curve, space, known, nodes, model)
     return not hidden, curve, space, arc, nodes, known, turning, miss, width

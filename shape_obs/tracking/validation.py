@@ -12,32 +12,16 @@ from shape_obs.clustering.som import best_matching_units, nearest_around
 from shape_obs.compiled import compiled
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.topology import Grid
+from shape_obs.tracking.model import LatticeModel, MotionModel, RingModel
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-MAX_OFF: Final = 0.10
+MAX_OFF: Final = MotionModel.max_off  # of a form that may be off the mask
 _JUDGED: Final = 150  # samples are enough to measure how far a mask spreads about a curve
-MAX_HIDDEN: Final = 0.75  # of a tracked shape
-# Of an outline: the staircase of pixels alone lies 0.25 px (0.12 samples) off the best curve, flipped border pixels
-# twice that; what misses them by more follows another outline. A few hundred samples are enough to measure it.
-_IDEAL_MISS: Final = 0.15
-_MAX_MISS: Final = 0.75
-_MIN_PIECE: Final = 0.6
-_JUDGED_AROUND: Final = 256
+MAX_HIDDEN: Final = MotionModel.max_hidden  # of a tracked shape
+_JUDGED_AROUND: Final = 256  # samples are enough to measure by how much an outline is missed
 _NEAR: Final = 6  # points of a curve, within which the nearest to a sample lies
-# Of a sheet: degrees by which a corner may miss a right angle; the share of its cells next to one that lies upside down
-# (a single one may, where a real corner is round); the excess length of a side; the variation of its cells' areas.
-_MAX_SKEW: Final = 55.0
-_MAX_FOLDS: Final = 0.01
-_IDEAL_KINK: Final = 25.0  # degrees: wrinkles
-_MAX_KINK: Final = 60.0
-_MAX_WINDING: Final = 0.20
-_MAX_UNEVEN: Final = 0.40
-# Of a lattice in space: the mean difference of its gaps. Of drawn cloths that were tilted, bent and folded, those with
-# more are wrong, and of 1,663 frames with less three are. And by how many errors of a point gaps may differ.
-_MAX_UNEQUAL: Final = 0.03
-_OF_NOISE: Final = 0.8
 FOLDED: Final = "the gaps between the points differ in space: the sheet is folded or crumpled"
 
 
@@ -53,7 +37,7 @@ class FitQuality(NamedTuple):
     quality: float
 
 
-def validate_gaps(points: Array, valid: npt.NDArray[np.bool_], layout: Grid, error: float) -> str:
+def validate_gaps(points: Array, valid: npt.NDArray[np.bool_], layout: Grid, error: float, model: LatticeModel) -> str:
     """Return why a lattice with equal gaps in space cannot lie on a sheet, which does not stretch; empty if it can.
 
     Args:
@@ -61,6 +45,7 @@ def validate_gaps(points: Array, valid: npt.NDArray[np.bool_], layout: Grid, err
         valid: ``(N,)`` bool.
         layout: The lattice.
         error: Of a point on a sheet that lies flat, RMS per axis, metres.
+        model: The constants.
     """
     first, last = layout.edges().T
     gaps = np.sqrt(np.sum((points[first] - points[last]) ** 2, axis=1))
@@ -69,10 +54,10 @@ def validate_gaps(points: Array, valid: npt.NDArray[np.bool_], layout: Grid, err
     if not known.any():
         return ""
     unequal = np.abs(gaps / np.where(along, *means) - 1)[known].mean()
-    return FOLDED if unequal > max(_MAX_UNEQUAL, _OF_NOISE * error / min(means)) else ""
+    return FOLDED if unequal > max(model.max_unequal, model.gap_noise * error / min(means)) else ""
 
 
-def validate_outline(observed: Observed, miss: float) -> FitQuality:
+def validate_outline(observed: Observed, miss: float, model: RingModel) -> FitQuality:
     """Validate the outline of an object's largest piece.
 
     Refused are a piece that is less than 60 % of the object, and a curve that the outline's samples miss by 0.75 of
@@ -81,19 +66,18 @@ def validate_outline(observed: Observed, miss: float) -> FitQuality:
     Args:
         observed: What it was fitted to.
         miss: Mean distance of the outline's samples from the curve, in units of their distance.
+        model: The constants.
     """
-    piece = observed.outlined_share
-    if piece < _MIN_PIECE:
+    piece, (ideal, most) = observed.outlined_share, model.miss
+    if piece < model.min_piece:
         return FitQuality(
             f"the {observed.noun} falls into {observed.pieces} pieces, and the largest is {piece:.0%} of it "
-            f"(at least {_MIN_PIECE:.0%})",
+            f"(at least {model.min_piece:.0%})",
             0.0,
         )
-    if miss > _MAX_MISS:
-        return FitQuality(
-            f"the outline misses the {observed.noun}'s by {miss:.2f} samples (at most {_MAX_MISS:.2f})", 0.0
-        )
-    excess = max(miss - _IDEAL_MISS, 0.0) / (_MAX_MISS - _IDEAL_MISS)
+    if miss > most:
+        return FitQuality(f"the outline misses the {observed.noun}'s by {miss:.2f} samples (at most {most:.2f})", 0.0)
+    excess = max(miss - ideal, 0.0) / (most - ideal)
     return FitQuality("", ((1 - excess) * piece) ** 0.5)
 
 
@@ -104,13 +88,13 @@ def validate_sheet(
     kink: float,
     stray: tuple[int, float],
     freedom: float,
+    model: LatticeModel,
 ) -> FitQuality:
     """Validate a lattice over a sheet.
 
     Refused are a lattice that leaves the object over 10 %, a corner more than 55 degrees off a right angle, a lattice
     that folds, a side that turns by 60 degrees somewhere (a fifth corner, or a hand's) or is 20 % longer than its
-    chord, and cells whose areas vary by 40 %. Of real towels no side turns by more than 36 degrees or winds by more
-    than 7 %, and no areas vary by more than 15 %; T-shirts and shorts begin there.
+    chord, and cells whose areas vary by 40 %.
 
     Args:
         off: The share of the lattice that lies off the object.
@@ -119,33 +103,36 @@ def validate_sheet(
         kink: Degrees by which the outline turns at most, away from the corners.
         stray: The corner that lies farthest from where the other three have moved, and how far, in half diagonals.
         freedom: How far it may lie.
+        model: The constants.
     """
-    corner, folds, winding, uneven = measures
+    (corner, folds, winding, uneven), (wrinkled, sharpest) = measures, model.kink
     reason = ""
     if stray[1] > freedom:
         reason = f"corner {stray[0]} strays by {stray[1]:.0%} of half a diagonal from where the other three have moved"
-    elif off > MAX_OFF:
-        reason = f"{off:.0%} of the lattice lies off the {noun} (at most {MAX_OFF:.0%})"
-    elif abs(corner - 90) > _MAX_SKEW:
-        reason = f"a corner of the lattice has {corner:.0f} degrees (90 and {_MAX_SKEW:.0f} more or less)"
-    elif folds > _MAX_FOLDS:
+    elif off > model.max_off:
+        reason = f"{off:.0%} of the lattice lies off the {noun} (at most {model.max_off:.0%})"
+    elif abs(corner - 90) > model.max_skew:
+        reason = f"a corner of the lattice has {corner:.0f} degrees (90 and {model.max_skew:.0f} more or less)"
+    elif folds > model.max_folds:
         reason = f"the lattice folds at {folds:.0%} of its cells"
-    elif kink > _MAX_KINK:
+    elif kink > sharpest:
         reason = (
-            f"the outline turns by {kink:.0f} degrees between two corners (at most {_MAX_KINK:.0f}): the "
+            f"the outline turns by {kink:.0f} degrees between two corners (at most {sharpest:.0f}): the "
             f"{noun} is no sheet, or a part of it is hidden"
         )
-    elif winding > _MAX_WINDING:
+    elif winding > model.max_winding:
         reason = (
-            f"a side is {winding:.0%} longer than the way from corner to corner (at most {_MAX_WINDING:.0%}): the "
+            f"a side is {winding:.0%} longer than the way from corner to corner (at most {model.max_winding:.0%}): the "
             f"{noun} is no sheet with four corners"
         )
-    elif uneven > _MAX_UNEVEN:
-        reason = f"the areas of the lattice's cells vary by {uneven:.0%} (at most {_MAX_UNEVEN:.0%})"
+    elif uneven > model.max_uneven:
+        reason = f"the areas of the lattice's cells vary by {uneven:.0%} (at most {model.max_uneven:.0%})"
     if reason:
         return FitQuality(reason, 0.0)
-    bent = max(kink - _IDEAL_KINK, 0.0) / (_MAX_KINK - _IDEAL_KINK)
-    shares = (1 - off / MAX_OFF) * (1 - bent) * (1 - winding / _MAX_WINDING) * (1 - uneven / _MAX_UNEVEN)
+    bent = max(kink - wrinkled, 0.0) / (sharpest - wrinkled)
+    shares = (
+        (1 - off / model.max_off) * (1 - bent) * (1 - winding / model.max_winding) * (1 - uneven / model.max_uneven)
+    )
     return FitQuality("", shares**0.5)
 
 

@@ -13,7 +13,7 @@ from shape_obs.image.find_region import find_region
 from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
 from shape_obs.tracking.judge_chain import reason_of
-from shape_obs.tracking.model import ChainModel
+from shape_obs.tracking.model import ChainModel, LatticeModel, RingModel
 from shape_obs.tracking.occluders import UNKNOWN_TIPS
 from shape_obs.tracking.state import new_rope
 from shape_obs.tracking.step import step_measured_chain
@@ -54,7 +54,9 @@ def judged_ribbon(curve: FittedCurve, observed: Region, expected_off: float) -> 
 
 
 def judged_sheet(form: FittedLattice, kink: float) -> FitQuality:
-    return validate_sheet(float(form.interpolated.mean()), assess_lattice(form.lattice), "mask", kink, (0, 0.0), 0.06)
+    return validate_sheet(
+        float(form.interpolated.mean()), assess_lattice(form.lattice), "mask", kink, (0, 0.0), 0.06, LatticeModel()
+    )
 
 
 class TestOffTheMask:
@@ -115,10 +117,13 @@ class TestSpread:
 class TestOutline:
     def test_an_outline_may_miss_its_samples_by_three_quarters(self):
         observed = rope()
-        assert validate_outline(observed, 0.1) == ("", 1.0)
-        assert validate_outline(observed, 0.74).reason == ""
-        assert validate_outline(observed, 0.45).quality == pytest.approx(0.5**0.5)
-        assert validate_outline(observed, 0.76).reason == "the outline misses the mask's by 0.76 samples (at most 0.75)"
+        assert validate_outline(observed, 0.1, RingModel()) == ("", 1.0)
+        assert validate_outline(observed, 0.74, RingModel()).reason == ""
+        assert validate_outline(observed, 0.45, RingModel()).quality == pytest.approx(0.5**0.5)
+        assert (
+            validate_outline(observed, 0.76, RingModel()).reason
+            == "the outline misses the mask's by 0.76 samples (at most 0.75)"
+        )
 
     def test_the_detector_reports_pieces(self):
         mask = np.zeros(SIZE, np.uint8)
