@@ -22,6 +22,7 @@ from tests.benchmarks.scores import visible_row
 from tests.benchmarks.tables import Row
 from tests.golden.judge import Score, differences, score
 from tests.golden.streams import Outcome, Stream, configurations, load_outcome, load_stream, names, play
+from tests.scenes.beams import swinging_beam, tracked_beam
 from tests.scenes.hidden_ropes import Cover, Seen, hidden_ropes
 
 KINDS: Final[dict[str, type[Configuration]]] = {"rope": Centerline, "outline": Contour, "sheet": Surface}
@@ -29,6 +30,7 @@ FACTORS: Final = (0.5, 2.0)
 _COVERS: Final[tuple[Cover, ...]] = ("hand", "shadow", "bar", "border")
 _APPROACHES: Final = (1.0, 4.0, 16.0)  # pixels per frame
 _HERTZ: Final = (15, 60)
+_BEAM_HERTZ: Final = (10, 30, 240)
 _SIZE: Final = (240, 320)
 _NO_CHANGE: Final = 0.01  # gaps: points that differ by less do not
 
@@ -71,6 +73,20 @@ def _streams(kind: type[Configuration], step: int) -> list[tuple[Stream, Outcome
     return found[::step]
 
 
+def _beams(seed: int) -> list[int]:
+    """Return how many frames of thick beams that swing at the border are refused, by rate and depth."""
+    found = []
+    for hertz, depth in product(_BEAM_HERTZ, (False, True)):
+        beam = swinging_beam(np.random.default_rng([seed, hertz]), hertz, 4, max(hertz, 40), drop=0.15, jitter=0.3)
+        found.append(tracked_beam(beam, depth=depth)["refused"])
+    return found
+
+
+@cache
+def _usual_beams(seed: int) -> list[int]:
+    return _beams(seed)
+
+
 @cache
 def _tracks(seed: int, count: int) -> list[tuple[dict[str, Any], list[Seen], list[Row]]]:
     """Return ropes under hands, shadows, bars and borders, and swung ropes: how they are tracked, and what is found."""
@@ -98,7 +114,8 @@ def measure(scene: dict[str, Any]) -> Row:
     streams = _streams(kind, max(round(1 / effort.share), 1))
     tracks = _tracks(effort.seed, effort.count(1)) if kind is Centerline else []
     found: dict[str, list[float]] = {column: [] for column in ("error [%]", "hidden error [%]", "refused", "slips")}
-    other, apart, before, after = 0, 0, list[Row](), list[Row]()
+    other, apart, before, after, refused = 0, 0, list[Row](), list[Row](), 0
+    usual_beams = _usual_beams(effort.seed) if kind is Centerline else []
     with model_of(kind, changed(kind.model, name, place, scene["factor"])):
         for stream, expected, usual in streams:
             outcome, _ = play(stream)
@@ -113,14 +130,18 @@ def measure(scene: dict[str, Any]) -> Row:
             rows = list(seen_rope(frames, **how))
             apart += any(_differ(*pair) for pair in zip(rows, usual, strict=True))
             before, after = [*before, visible_row(usual)], [*after, visible_row(rows)]
+        if kind is Centerline:
+            beams = _beams(effort.seed)
+            refused, apart = sum(beams) - sum(usual_beams), apart + (beams != usual_beams)
     row = Row(shape=scene["kind"], constant=name if place is None else f"{name}[{place}]", factor=scene["factor"])
     row["streams changed"] = f"{other} of {len(streams)}"
     for column, some in found.items():
         finite = [each for each in some if np.isfinite(each)]
         row[column] = sum(finite) / (len(streams) if "%" in column else 1)
-    row["tracks changed"] = f"{apart} of {len(tracks)}"
+    row["tracks changed"] = f"{apart} of {len(tracks) + bool(usual_beams)}"
     for column in ("slips", "refused", "far"):
         row[f"{column} of tracks"] = sum(each[column] for each in after) - sum(each[column] for each in before)
+    row["refused of beams"] = refused
     return row
 
 

@@ -311,7 +311,7 @@ def test_ropes_are_found_in_their_window_at_the_first_look(looked, count, masks)
     assert len(looked) == 4
 
 
-@pytest.mark.parametrize("name", ["rope_clutter", "rope_both_ends_cut", "rope_held"])
+@pytest.mark.parametrize("name", ["rope_both_ends_cut", "rope_end_cut", "rope_hand_on_end", "rope_held"])
 def test_a_rope_is_found_in_the_same_places_whichever_end_is_the_first(name):
     """What is remembered of an end stays with that end when the first frame's order is turned round."""
     stream = load_stream(name)
