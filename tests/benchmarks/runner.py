@@ -150,7 +150,11 @@ def main(argv: Sequence[str]) -> int:
     Returns:
         1 if a limit is missed that is not known to be missed; 2 for a wrong name; otherwise 0.
     """
-    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description="Measure claims against limits.")
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.benchmarks",
+        description="Measure claims against limits.",
+        epilog="record export, record track and record score have options of their own: record export --help",
+    )
     parser.add_argument("names", nargs="*", metavar="NAME", help="claims or groups of claims (default: all)")
     parser.add_argument("--share", type=float, default=1.0, help="share of the full number of scenes (default: 1)")
     parser.add_argument("--seed", type=int, help="random seed (default: 0; of the group record, the commit's hash)")
