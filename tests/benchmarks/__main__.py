@@ -1,10 +1,15 @@
-"""Run the claims of this project: ``uv run python -m tests.benchmarks [NAME ...]``."""
+"""Run the claims of this project: ``uv run python -m tests.benchmarks [NAME ...]``.
+
+``record export``, ``record track`` and ``record score`` read and write files, see ``record_files``.
+"""
 
 from __future__ import annotations
 
 import sys
 
-from tests.benchmarks.runner import main
+from tests.benchmarks import record_files, runner
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    argv = sys.argv[1:]
+    in_files = argv[:1] == ["record"] and argv[1:2] and argv[1] in record_files.COMMANDS
+    sys.exit(record_files.main(argv[1:]) if in_files else runner.main(argv))

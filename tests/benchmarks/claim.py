@@ -18,12 +18,14 @@ class Effort(NamedTuple):
         seed: Seed of everything that is drawn at random.
         renderer: The simulator's renderer: ``"auto"``, ``"gl"`` or ``"rays"``.
         garments: A JSON file of annotated garment outlines; None leaves them out.
+        by_commit: Whether the seed of claims that are held out is that of the commit instead.
     """
 
     share: float = 1.0
     seed: int = 0
     renderer: str = "auto"
     garments: Path | None = None
+    by_commit: bool = False
 
     def count(self, full: int) -> int:
         """Return the share of a full count, at least one."""
@@ -95,6 +97,7 @@ class Claim:
         limits: What the table has to keep.
         alone: Whether nothing else may run at the same time, because times are compared with constants.
         needs: Modules without which the claim is left out.
+        held_out: Whether its scenes differ from commit to commit unless a seed is given, so that no one tunes on them.
     """
 
     name: str
@@ -107,6 +110,7 @@ class Claim:
     limits: tuple[Limit, ...] = ()
     alone: bool = False
     needs: tuple[str, ...] = ()
+    held_out: bool = False
 
     def table(self, effort: Effort) -> list[Row]:
         """Measure every scene and return the table."""

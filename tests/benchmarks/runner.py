@@ -24,7 +24,7 @@ from tests.benchmarks.claim import Claim, Effort
 from tests.benchmarks.tables import Row, as_markdown
 
 MODULES: Final = (
-    "ropes", "hidden", "several", "outlines", "sheets", "clouds", "sigma", "clicks", "calibration", "envs",
+    "ropes", "hidden", "record", "several", "outlines", "sheets", "clouds", "sigma", "clicks", "calibration", "envs",
     "deployment", "policies", "servo", "speed", "sensitivity",
 )  # fmt: skip
 RESULTS: Final = Path(__file__).with_name("results.json")
@@ -59,6 +59,8 @@ def run(claim: Claim, effort: Effort) -> Row:
         ``rows``: the table; ``limits``: a row of ``Limit.check`` for each limit; ``missing``: modules that are needed
         and not installed, in which case nothing is measured; ``what``, ``share``, ``seed``, ``commit``, ``seconds``.
     """
+    if claim.held_out and effort.by_commit:
+        effort = effort._replace(seed=commit_seed())
     missing = [name for name in claim.needs if find_spec(name) is None]
     begin = time.perf_counter()
     rows: list[Row] = []
@@ -67,9 +69,22 @@ def run(claim: Claim, effort: Effort) -> Row:
             rows = claim.table(effort)
     limits = [limit.check(rows, effort.share) for limit in claim.limits] if rows else []
     found = {"rows": rows, "limits": limits, "seconds": round(time.perf_counter() - begin, 1), "missing": missing}
-    command = ["git", "-C", str(RESULTS.parent), "describe", "--always", "--dirty"]
-    commit = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip() or "unknown"
+    commit = _git("describe", "--always", "--dirty") or "unknown"
     return Row(found, what=claim.what, share=effort.share, seed=effort.seed, commit=commit)
+
+
+def commit_seed() -> int:
+    """Return a seed that derives from the hash of the commit; 0 without one."""
+    return int(_git("rev-parse", "HEAD")[:7] or "0", 16)
+
+
+def _git(*command: str) -> str:
+    """Return what git prints, or nothing where it does not work."""
+    called = ["git", "-C", str(RESULTS.parent), *command]
+    try:
+        return subprocess.run(called, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return ""
 
 
 def run_all(claims: Iterable[Claim], effort: Effort, jobs: int = 1) -> Iterator[tuple[str, Row]]:
@@ -135,10 +150,14 @@ def main(argv: Sequence[str]) -> int:
     Returns:
         1 if a limit is missed that is not known to be missed; 2 for a wrong name; otherwise 0.
     """
-    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description="Measure claims against limits.")
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.benchmarks",
+        description="Measure claims against limits.",
+        epilog="record export, record track and record score have options of their own: record export --help",
+    )
     parser.add_argument("names", nargs="*", metavar="NAME", help="claims or groups of claims (default: all)")
     parser.add_argument("--share", type=float, default=1.0, help="share of the full number of scenes (default: 1)")
-    parser.add_argument("--seed", type=int, default=0, help="random seed (default: 0)")
+    parser.add_argument("--seed", type=int, help="random seed (default: 0; of the group record, the commit's hash)")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="processes; times are measured afterwards")
     parser.add_argument("--renderer", choices=("auto", "gl", "rays"), default="auto", help="the simulator's renderer")
     parser.add_argument("--garments", type=Path, metavar="FILE", help="JSON file of annotated garment outlines")
@@ -160,7 +179,8 @@ def main(argv: Sequence[str]) -> int:
     if args.list:
         print("\n".join(f"{claim.name:26}{claim.what}" for claim in claims))
         return 0
-    effort, missed, printed = Effort(args.share, args.seed, args.renderer, args.garments), [], {}
+    effort = Effort(args.share, args.seed or 0, args.renderer, args.garments, by_commit=args.seed is None)
+    missed, printed = [], {}
     for name, outcome in run_all(claims, effort, args.jobs):
         save(args.out, name, outcome)
         missed += [f"{name}: {each.limit}: {each.measured}, required {each.required}" for each in misses(outcome)]
