@@ -106,8 +106,8 @@ class Contour(Configuration, kind="contour"):
         if known is None:
             return None
         followed, curve, space, arc, nodes, known, turning, miss, width = step_ring_in_mask(
-            *own, *around, region.areas[0], prediction.nodes, known, self.ring, self.model.record,
-            self.model.depth_limits,
+            *own, *around, region.areas[0], prediction.nodes, known, prediction.lasted, self.ring,
+            self.model.record, self.model.depth_limits,
         )  # fmt: skip
         if not followed:
             return None
@@ -156,7 +156,7 @@ class Contour(Configuration, kind="contour"):
                 return *_begun_at(curve, there, begin, len(nodes), known), miss
         if own is not None:
             points, there, arc, nodes, new, turning, _ = follow_outline(
-                curve.points, own, prediction.reference, nodes, self.model.record
+                curve.points, own, prediction.reference, nodes, prediction.lasted, self.model.record
             )
             found = FittedCurve(points, np.zeros(len(points), bool), arc, True, space=there)
             reference = known if cut.any() else new  # what touches it may hide a little of it

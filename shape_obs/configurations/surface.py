@@ -156,16 +156,16 @@ class Surface(Configuration, kind="surface"):
         if corners is None:
             few = f"the outline has {len(view.candidates)} corners, a sheet has four"
             return Fit(reason=few if prediction is None else SHEET_WRONG[NO_CORNERS])
-        predicted, before, sides, hints = _NO_NODES, _NO_NODES, _NO_SIDES, TrackHints()
+        predicted, before, sides, hints, lasted = _NO_NODES, _NO_NODES, _NO_SIDES, TrackHints(), 0.0
         if prediction is not None:
-            predicted, hints = prediction.nodes, prediction.hints
+            predicted, hints, lasted = prediction.nodes, prediction.hints, prediction.lasted
             before, sides = hints.reference, hints.sides
             if before is None or sides is None or before.shape[1] > view.space.shape[1]:
                 before, sides = predicted, side_lengths(border_of(predicted))
         metric = before.shape[1] == 3
         (left, top), mask = view.region.window[:2], view.region.mask
         seen = view.rim, view.turn, view.candidates, view.step, view.grain, view.space, corners, predicted
-        rest = before, sides, mask, left, top, float(self.rows), float(self.cols), buckled, self.model.record
+        rest = before, sides, mask, left, top, float(self.rows), float(self.cols), buckled, lasted, self.model.record
         if view.camera is None or view.camera.model == "pinhole":
             judged, patch, kink, number, stray = lay_sheet(*seen, view.lens, *rest)
         else:

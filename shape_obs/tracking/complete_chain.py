@@ -16,9 +16,9 @@ from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import first_coordinates, with_relief
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
+from shape_obs.tracking.model import gain_of
 from shape_obs.tracking.placement import widened
 from shape_obs.tracking.register_chain import evened
-from shape_obs.tracking.rope_length import gain_of
 from shape_obs.tracking.state import State
 
 Array = npt.NDArray[np.float64]

@@ -133,11 +133,12 @@ Judged = tuple[int, int, Array, Array, Array, Flags, float, Array, Array, tuple[
 
 
 @compiled(
-    "(f8[:,::1], f8[:,::1], f8[:,::1], f8, f8[:,::1], f8[::1], u1[:,::1], i8, i8, f8, f8, b1, LatticeConstants[::1])"
+    "(f8[:,::1], f8[:,::1], f8[:,::1], f8, f8[:,::1], f8[::1], u1[:,::1], i8, i8, f8, f8, b1, f8, "
+    "LatticeConstants[::1])"
 )
 def judge_patch(
     patch: Array, lattice: Array, space: Array, step: float, known: Array, sides: Array, mask: Mask, left: int,
-    top: int, rows: float, cols: float, buckled: bool, model: Model,
+    top: int, rows: float, cols: float, buckled: bool, lasted: float, model: Model,
 ) -> Judged:  # fmt: skip
     """Compare a sheet that is seen as a whole with what is known of it, and measure it.
 
@@ -154,6 +155,7 @@ def judge_patch(
         rows: How many points are asked for from top to bottom.
         cols: The same from left to right.
         buckled: Whether sides may be shorter, see ``compare_sheet``.
+        lasted: Seconds for which this frame counts.
         model: ``(1,)`` the constants.
 
     Returns:
@@ -180,18 +182,18 @@ def judge_patch(
     if len(known) == 0 or known.shape[1] < patch.shape[1]:
         lengths = side_lengths(border_of(patch))
     elif not (buckled and metric):
-        reference, lengths = learn_sheet(known, patch, sides, constants)
+        reference, lengths = learn_sheet(known, patch, sides, lasted, constants)
     return FITS, 0, lattice, down, right, hidden, off, reference, lengths, measures
 
 
 @compiled(
     "(f8[:,::1], f8[::1], i8[::1], f8, f8, f8[:,::1], i8[::1], f8[:,::1], UniTuple(f8, 4), f8[:,::1], f8[::1], "
-    "u1[:,::1], i8, i8, f8, f8, b1, LatticeConstants[::1])"
+    "u1[:,::1], i8, i8, f8, f8, b1, f8, LatticeConstants[::1])"
 )
 def lay_sheet(
     rim: Array, turn: Array, candidates: Indices, step: float, grain: float, space: Array, corners: Indices,
     predicted: Array, camera: Lens, known: Array, sides: Array, mask: Mask, left: int, top: int, rows: float,
-    cols: float, buckled: bool, model: Model,
+    cols: float, buckled: bool, lasted: float, model: Model,
 ) -> tuple[Judged, Array, float, int, float]:  # fmt: skip
     """Run ``lay_patch``, project the patch by a pinhole and run ``judge_patch``, all in one call.
 
@@ -203,7 +205,7 @@ def lay_sheet(
     if len(patch) == 0 or len(lattice) == 0:
         code, nothing = OUT_OF_SIGHT if len(patch) else NO_CORNERS, np.empty(0)
         return (code, 0, lattice, nothing, nothing, nothing > 0, 0.0, patch, sides, UNBENT), patch, kink, number, stray
-    judged = judge_patch(patch, lattice, space, step, known, sides, mask, left, top, rows, cols, buckled, model)
+    judged = judge_patch(patch, lattice, space, step, known, sides, mask, left, top, rows, cols, buckled, lasted, model)
     return judged, patch, kink, number, stray
 
 

@@ -11,12 +11,15 @@ differs.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+
+from shape_obs.compiled import compiled
 
 Model = npt.NDArray[Any]
 _Pair = tuple[float, float]
@@ -196,8 +199,8 @@ class RingModel(OutlineModel):
     max_refinement: float = 1 / 24  # of the outline: by so much a shift is refined at most
 
     # Learn. Numbered by the last frame alone, an outline of noisy pixels drifts by 6 px in 180 frames.
-    outline_gain: float = 0.05  # in a frame: how fast the known outline follows the one that is found
-    max_outline_change: float = 0.003  # of the radius in a frame: what a hand hides little by little is not forgotten
+    outline_memory: float = 0.65  # s: how fast the known outline follows the one that is found
+    max_outline_change: float = 0.09  # of the radius in a second: what a hand hides slowly is not forgotten
 
     # Hidden pieces, and how they are completed.
     inside: _Pair = (1.2, 0.01)  # pixels and radii: an outline so far within the known one is not the object's own
@@ -261,8 +264,8 @@ class LatticeModel(OutlineModel):
     fold_turn: float = 0.45  # radians by which a border turns within the sheet at a fold, and else at corners alone
 
     # Learn.
-    max_stretch: _Pair = (0.0022, 0.001)  # of a side, in a frame: its known length follows by so much
-    form_gain: float = 0.03  # in a frame: how fast the known form follows in an image
+    max_stretch: _Pair = (0.066, 0.03)  # of a side in a second: its known length follows by so much
+    form_memory: float = 1.1  # s: how fast the known form follows in an image
 
     # Judge a lattice. Of real towels no side turns by more than 36 degrees or winds by more than 7 %, and no areas vary
     # by more than 15 %; T-shirts and shorts begin there.
@@ -296,6 +299,12 @@ class LatticeModel(OutlineModel):
     min_flat: float = 0.5  # of 1, a sheet that is spread out: shares that are near their limits add up
     node_noise: float = 0.1  # of a gap: nodes that may be off by less are not
     uncertain: float = 0.2  # of a gap, beyond that: nodes that may be off by more are uncertain
+
+
+@compiled
+def gain_of(seconds: float, memory: float) -> float:
+    """Return the weight of a new value in a mean that fades with a time constant, after some seconds."""
+    return 1 - math.exp(-seconds / memory)
 
 
 def _record_type(kind: type[MotionModel]) -> np.dtype[Any]:

@@ -16,9 +16,11 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.rotation import largest_trace
-from shape_obs.tracking.model import ChainConstants  # noqa: F401 - in a signature
+from shape_obs.tracking.model import (
+    ChainConstants,  # noqa: F401 - in a signature
+    gain_of,
+)
 from shape_obs.tracking.occluders import FREE, HIDDEN
-from shape_obs.tracking.rope_length import gain_of
 
 Array = npt.NDArray[np.float64]
 Ends = tuple[int, int]

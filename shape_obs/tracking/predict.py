@@ -113,6 +113,7 @@ class Prediction(NamedTuple):
         motion: How far the nodes are expected to have moved, RMS.
         last: ``(K, D)`` where the nodes were; empty if that is not known.
         seconds: Since then.
+        lasted: For how many of them this frame counts in what is learnt.
         reach: How far they can have moved since; infinity without a limit.
     """
 
@@ -129,6 +130,7 @@ class Prediction(NamedTuple):
     motion: float = 0.0
     last: Array = np.empty((0, 2))
     seconds: float = math.inf
+    lasted: float = 0.0
     reach: float = math.inf
 
     @property
@@ -162,11 +164,12 @@ def predict(
     rising = (_NOTHING, _NOTHING) if relief is None or climb is None else (relief, climb)
     ahead = model.velocity_share * min(max(since, 0.0), track.interval)
     nodes, deep, motion = extrapolated(track.nodes, track.velocity, *rising, ahead)
+    lasted = min(max(since, 0.0), model.longest_interval)
     steady = abs(observed.area - track.area) <= model.steady * track.area
     known = track.size, track.topology, track.hints, observed.resolution, track.width
     lapse = max(since / track.interval, 1.0) if track.interval > 0 else 1.0
     deep = relief if climb is None else deep
-    return Prediction(nodes, *known, steady, stale, deep, lapse, motion, track.nodes, since, reach)
+    return Prediction(nodes, *known, steady, stale, deep, lapse, motion, track.nodes, since, lasted, reach)
 
 
 def advance(track: Track | None, found: Fit, observed: Observed, stamp: float, model: MotionModel) -> Track:

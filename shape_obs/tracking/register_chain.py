@@ -16,6 +16,7 @@ from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import local_stretch, with_relief
 from shape_obs.geometry.polyline import interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
+from shape_obs.tracking.model import gain_of
 from shape_obs.tracking.occluders import (
     FREE,
     HIDDEN,
@@ -33,7 +34,7 @@ from shape_obs.tracking.placement import (
     settled,
     slid,
 )
-from shape_obs.tracking.rope_length import gain_of, learn_length, shorten_length
+from shape_obs.tracking.rope_length import learn_length, shorten_length
 from shape_obs.tracking.state import State
 
 Array = npt.NDArray[np.float64]

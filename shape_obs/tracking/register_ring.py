@@ -21,7 +21,7 @@ from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.outline import unround, wave_table, waves
 from shape_obs.geometry.polyline import arc_length, closed, even_around
 from shape_obs.tracking.complete_ring import may_be_hidden
-from shape_obs.tracking.model import Model, RingConstants, RingModel  # noqa: F401 - the second in a signature
+from shape_obs.tracking.model import Model, RingConstants, RingModel, gain_of  # noqa: F401 - the second in a signature
 from shape_obs.tracking.predict import Prediction
 from shape_obs.tracking.register_ring_in_space import (
     HARMONICS,
@@ -47,7 +47,7 @@ def match_outline(curve: FittedCurve, prediction: Prediction, model: RingModel) 
     reference, count = prediction.reference, len(prediction.nodes)
     if curve.points.shape[1] == 2:
         points, arc, nodes, reference, turning = renumber_outline(
-            curve.points, reference, prediction.nodes, model.record
+            curve.points, reference, prediction.nodes, prediction.lasted, model.record
         )
         turned = FittedCurve(points, np.zeros(len(points), bool), arc, True)
     else:
@@ -57,13 +57,14 @@ def match_outline(curve: FittedCurve, prediction: Prediction, model: RingModel) 
         )
         turned = curve.starting_at(shift * curve.size / count)
         nodes = turned.even(count)
-        reference = blend_space(reference, nodes, model.outline_gain)
+        gain = -math.expm1(-prediction.lasted / model.outline_memory)
+        reference = blend_space(reference, nodes, gain)
     return replace(turned, hints=TrackHints(reference=reference, turning=turning)), nodes
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8[:,::1], RingConstants[::1])")
+@compiled("(f8[:,::1], f8[:,::1], f8[:,::1], f8, RingConstants[::1])")
 def renumber_outline(
-    points: Array, reference: Array, predicted: Array, model: Model
+    points: Array, reference: Array, predicted: Array, lasted: float, model: Model
 ) -> tuple[Array, Array, Array, Array, float]:
     """Renumber an outline in the plane from where it began before.
 
@@ -71,6 +72,7 @@ def renumber_outline(
         points: ``(P, 2)``.
         reference: ``(K, 2)`` equidistant around the outline as it was, wherever it lay.
         predicted: ``(K, 2)`` the same nodes where they are expected.
+        lasted: Seconds for which this frame counts.
         model: ``(1,)`` the constants.
 
     Returns:
@@ -86,7 +88,8 @@ def renumber_outline(
     around = closed(turned)
     arc = arc_length(around)
     nodes = even_around(around, arc, 0.0, count)
-    known = blend(reference, nodes, model[0].outline_gain, model[0].max_outline_change)
+    gain, most = gain_of(lasted, model[0].outline_memory), model[0].max_outline_change * lasted
+    known = blend(reference, nodes, gain, most)
     return turned, arc, nodes, known, turning
 
 
@@ -112,9 +115,9 @@ def begin_outline(points: Array, space: Array, start: float, count: int) -> tupl
     return points, space, arc_length(around), nodes, places
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], RingConstants[::1])")
+@compiled("(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8, RingConstants[::1])")
 def follow_outline(
-    points: Array, space: Array, reference: Array, predicted: Array, model: Model
+    points: Array, space: Array, reference: Array, predicted: Array, lasted: float, model: Model
 ) -> tuple[Array, Array, Array, Array, Array, float, bool]:
     """Renumber an outline in an image from where it began before, by its form in space if that is known.
 
@@ -123,6 +126,7 @@ def follow_outline(
         space: ``(P, 3)`` the same in metres, for a reference in metres.
         reference: ``(K, D)`` equidistant around the outline as it was, wherever it lay.
         predicted: ``(K, 2)`` the same nodes where they are expected, pixels.
+        lasted: Seconds for which this frame counts.
         model: ``(1,)`` the constants.
 
     Returns:
@@ -132,14 +136,15 @@ def follow_outline(
     """
     count = len(predicted)
     if reference.shape[1] == 2:
-        turned, arc, nodes, known, turning = renumber_outline(points, reference, predicted, model)
+        turned, arc, nodes, known, turning = renumber_outline(points, reference, predicted, lasted, model)
         return turned, np.empty((0, 3)), arc, nodes, known, turning, may_be_hidden(nodes, reference, model[0])
     around, lifted = closed(points), closed(space)
     metres = arc_length(lifted)
     found, seen = even_around(lifted, metres, 0.0, count), even_around(around, metres, 0.0, count)
     shift, turning = index_shift_space(reference, predicted, found, seen, 1.0, model)
     turned, there, arc, nodes, places = begin_outline(points, space, shift * (metres[-1] / count), count)
-    return turned, there, arc, nodes, blend_space(reference, places, model[0].outline_gain), turning, False
+    known = blend_space(reference, places, gain_of(lasted, model[0].outline_memory))
+    return turned, there, arc, nodes, known, turning, False
 
 
 @compiled

@@ -6,12 +6,7 @@ import math
 from typing import Any
 
 from shape_obs.compiled import compiled
-
-
-@compiled
-def gain_of(seconds: float, memory: float) -> float:
-    """Return the weight of a new value in a mean that fades with a time constant, after some seconds."""
-    return 1 - math.exp(-seconds / memory)
+from shape_obs.tracking.model import gain_of
 
 
 @compiled

@@ -18,7 +18,12 @@ from shape_obs.geometry.rotation import laid_flat, similarity
 from shape_obs.image.region import Region
 from shape_obs.initialization.corners import Rim
 from shape_obs.tracking.complete_lattice import Border, Lens, complete_border, look_around
-from shape_obs.tracking.model import LatticeConstants, LatticeModel, Model  # noqa: F401 - the first in a signature
+from shape_obs.tracking.model import (  # noqa: F401 - the first in a signature
+    LatticeConstants,
+    LatticeModel,
+    Model,
+    gain_of,
+)
 from shape_obs.tracking.predict import Prediction
 from shape_obs.tracking.register_lattice import assign_corners, known_slack, zoom_of
 
@@ -128,6 +133,7 @@ class KnownSheet:
         lattice: ``(625, D)`` the sheet as it was, wherever it lay, in metres if that is known, else in pixels.
         sides: ``(4,)`` the lengths of its sides in the same unit.
         hints: What the track stores.
+        lasted: Seconds for which this frame counts.
         model: The constants.
     """
 
@@ -135,6 +141,7 @@ class KnownSheet:
     lattice: Array
     sides: Array
     hints: TrackHints
+    lasted: float
     model: LatticeModel
 
     @classmethod
@@ -142,8 +149,8 @@ class KnownSheet:
         """Return what a track knows, in metres if it does and this frame can be compared with that."""
         expected, hints = border_of(prediction.nodes), prediction.hints
         if hints.reference is None or hints.sides is None or (hints.reference.shape[1] == 3 and view.camera is None):
-            return cls(expected, prediction.nodes, side_lengths(expected), hints, view.model)
-        return cls(expected, hints.reference, hints.sides, hints, view.model)
+            return cls(expected, prediction.nodes, side_lengths(expected), hints, prediction.lasted, view.model)
+        return cls(expected, hints.reference, hints.sides, hints, prediction.lasted, view.model)
 
     @property
     def metric(self) -> bool:
@@ -166,7 +173,7 @@ class KnownSheet:
         if not whole.any() or self.hints.sides is None or self.lattice is not self.hints.reference:
             return self.hints
         share = float(np.median(side_lengths(border.points)[whole] / self.sides[whole]))
-        most = self.model.max_stretch[True]
+        most = self.model.max_stretch[True] * self.lasted
         return self.hints._replace(sides=self.sides * np.clip(share, 1 - most, 1 + most))
 
     def complete(self, view: SheetView, depth: npt.NDArray[Any] | None) -> Border | None:
@@ -195,27 +202,29 @@ class KnownSheet:
 
 
 @compiled
-def learn_sheet(known: Array, patch: Array, sides: Array, model: Any) -> tuple[Array, Array]:
+def learn_sheet(known: Array, patch: Array, sides: Array, lasted: float, model: Any) -> tuple[Array, Array]:
     """Return what is known of a sheet after a frame in which all of it was seen: its lattice, and its sides ``(4,)``.
 
     Args:
         known: ``(625, D)`` as it was, wherever it lay: metres or pixels.
         patch: ``(625, D)`` as it lies.
         sides: ``(4,)`` lengths.
+        lasted: Seconds for which this frame counts.
         model: The constants, one ``LatticeModel``.
     """
     metric, lengths, learnt = known.shape[1] == 3, side_lengths(border_of(patch)), np.empty(4)
     zoom = 1.0 if metric else zoom_of(lengths, sides, model.max_zoom)
     for k in range(4):
-        stretch = model.max_stretch[1 if metric else 0] * sides[k] * zoom
+        stretch = model.max_stretch[1 if metric else 0] * lasted * sides[k] * zoom
         learnt[k] = sides[k] * zoom + min(max(lengths[k] - sides[k] * zoom, -stretch), stretch)
     if metric:
         return patch, learnt
     laid = laid_flat(known, similarity(known, patch, np.ones(len(known), np.bool_)))
-    far, most = _apart(patch, laid), model.max_stretch[1] * learnt.mean()
+    far, most = _apart(patch, laid), model.max_stretch[1] * lasted * learnt.mean()
     limit = max(model.outlier * np.median(far[::_SOME]), model.form_noise)
+    gain = gain_of(lasted, model.form_memory)
     for p in range(len(patch)):
-        share = model.form_gain * ((limit / far[p]) ** 4 if far[p] > limit else 1.0)
+        share = gain * ((limit / far[p]) ** 4 if far[p] > limit else 1.0)
         for d in range(2):
             laid[p, d] += min(max(share * (patch[p, d] - laid[p, d]), -most), most)
     return laid, learnt

@@ -194,11 +194,11 @@ def _show(now: Any, stations: Array) -> None:
 
 @compiled(
     "(u1[:,::1], i8[:,::1], i8, i8, i8, " + DEPTH_TYPE + ", UniTuple(i8, 4), UniTuple(f8, 4), i8, f8[:,::1], "
-    "f8[:,::1], b1, RingConstants[::1], UniTuple(f8, 7))"
+    "f8[:,::1], f8, b1, RingConstants[::1], UniTuple(f8, 7))"
 )
 def step_ring_in_mask(
     mask: Mask, runs: Indices, pieces: int, left: int, top: int, depth: DepthImages, edge: Edges, camera: Lens,
-    largest: int, nodes: Array, known: Array, band: bool, model: Model, limits: DepthLimits,
+    largest: int, nodes: Array, known: Array, lasted: float, band: bool, model: Model, limits: DepthLimits,
 ) -> RingStep:  # fmt: skip
     """Follow an outline into a mask that looks as it did.
 
@@ -214,6 +214,7 @@ def step_ring_in_mask(
         largest: Pixels of the largest component.
         nodes: ``(K, 2)`` where the outline is predicted.
         known: ``(K, D)`` its nodes in the past, wherever it was, in pixels or metres.
+        lasted: Seconds for which this frame counts.
         band: Whether the object is a closed band.
         model: ``(1,)`` the constants.
         limits: As ``see_outline`` takes it.
@@ -229,5 +230,5 @@ def step_ring_in_mask(
     thin = width < model[0].min_width * SAMPLED
     if not as_it_was or thin or (band and 1 - largest / max(enclosed, 1.0) < model[0].min_hollow):
         return False, curve, space, np.empty(0), nodes, known, 0.0, miss, width
-    curve, space, arc, nodes, known, turning, hidden = follow_outline(curve, space, known, nodes, model)
+    curve, space, arc, nodes, known, turning, hidden = follow_outline(curve, space, known, nodes, lasted, model)
     return not hidden, curve, space, arc, nodes, known, turning, miss, width

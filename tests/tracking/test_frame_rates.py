@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from shape_obs import Centerline, Detection, Intrinsics, ShapeDetector
-from shape_obs.configurations.centerline import Centerline as Rope
+from shape_obs import Centerline, Configuration, Contour, Detection, Intrinsics, ShapeDetector, Surface
 from shape_obs.geometry.topology import Chain
 from shape_obs.tracking.predict import Track, predict
 from shape_obs.tracking.register_chain import usual_distance
@@ -100,6 +99,27 @@ def test_a_rope_that_was_cut_is_known_to_be_shorter_after_a_second(rate: int):
     assert learnt == pytest.approx(2.0, abs=1 / rate + 0.05)
 
 
+@pytest.mark.parametrize("spec", [Contour(n=24, anchor=(250.0, 120.0)), Surface(rows=3, cols=4)])
+def test_an_outline_and_a_sheet_that_turn_and_swell_are_found_in_the_same_places(spec: Configuration):
+    """Within 2 px at the times that all rates share."""
+    corners = np.array([(-70, -45), (70, -45), (70, 45), (-70, 45)]) * (1, 1 if isinstance(spec, Surface) else 0.6)
+    found: dict[int, list[Array]] = {}
+    for rate in RATES:
+        detector = ShapeDetector([spec])
+        for frame in range(3 * rate + 1):
+            seconds, mask = frame / rate, np.zeros((240, 320), np.uint8)
+            turn = 0.3 * np.sin(2 * seconds)
+            axes = np.array([(np.cos(turn), np.sin(turn)), (-np.sin(turn), np.cos(turn))])
+            outline = corners * (1 + 0.1 * np.sin(3 * seconds), 1.0) @ axes + (160 + 15 * np.sin(seconds), 120)
+            cv2.fillPoly(mask, [np.rint(16 * outline).astype(np.int32)], 1, cv2.LINE_8, 4)
+            shape = detector.detect_mask(mask, stamp=seconds).shapes[0]
+            assert shape.ok, (rate, seconds, shape.reason)
+            if round(seconds, 6) in _TIMES:
+                found.setdefault(rate, []).append(shape.pixels.astype(np.float64))
+    for rate in RATES:
+        assert np.linalg.norm(np.array(found[rate]) - found[30], axis=-1).max() < 2
+
+
 class _Seen:
     """What a prediction reads of what is observed."""
 
@@ -110,7 +130,7 @@ class _Seen:
 @pytest.mark.parametrize("ahead", [0.005, 0.02, 0.1])
 def test_predicting_twice_is_predicting_once_for_twice_as_long(rate: int, ahead: float):
     """Mean and spread, within 1 %."""
-    rng, model = np.random.default_rng(rate), Rope.model
+    rng, model = np.random.default_rng(rate), Centerline.model
     nodes, velocity = rng.uniform(0, 300, (12, 2)), rng.uniform(-50, 50, (12, 2))
 
     def at(track: Track, seconds: float) -> Array:
