@@ -23,7 +23,6 @@ from shape_obs.tracking.missing import lost_shape
 from shape_obs.tracking.predict import Fit, Prediction, Track, advance, predict
 from shape_obs.tracking.register_chain import direction
 from shape_obs.tracking.speed_gate import LARGER, WHOLE, Candidate, SpeedGate, View, is_as_large
-from shape_obs.tracking.validation import MAX_OFF
 
 Array = npt.NDArray[np.float64]
 
@@ -225,7 +224,7 @@ class Tracker:
         if points is None or (observed.area < WHOLE * self._area and self._candidate is None):
             return False
         known = points[np.isfinite(points).all(axis=1)].astype(np.float64)
-        return len(known) > 0 and float(np.mean(~observed.carries(known))) > MAX_OFF
+        return len(known) > 0 and float(np.mean(~observed.carries(known))) > self.spec.model.max_off
 
     def cross(self, shape: Shape, crossings: tuple[Crossing, ...]) -> Shape:
         """Return the shape that was found with its crossings, which it keeps while it is held."""

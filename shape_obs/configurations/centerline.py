@@ -35,7 +35,7 @@ from shape_obs.tracking.predict import Fit, Prediction
 from shape_obs.tracking.register_chain import Expected, direction
 from shape_obs.tracking.state import State, new_rope, reversed_rope
 from shape_obs.tracking.step import step_chain_in_mask, step_measured_chain, visible_nodes
-from shape_obs.tracking.validation import MAX_HIDDEN, sample_spread
+from shape_obs.tracking.validation import sample_spread
 from shape_obs.utils.lengths import warn_unless_metres
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ class Centerline(Configuration, kind="centerline"):
             found = self._fit_initial(observed, prediction, scene)
         if prediction is not None and (found.form is None or _does_not_fit(found, model.either_end)):
             sigmas = model.sigmas_steady if prediction.steady else model.sigmas_changed
-            found = self._step(observed, _NO_NODES, sigmas, width, MAX_HIDDEN, prediction, scene)
+            found = self._step(observed, _NO_NODES, sigmas, width, model.max_hidden, prediction, scene)
             if (off := _innovation(found)) > model.max_size_change:
                 more = observed.area / max(prediction.size * width, 1e-9) if observed.dimension == 2 else 1.0
                 most = model.more_pixels
@@ -139,7 +139,7 @@ class Centerline(Configuration, kind="centerline"):
         width = max(observed.width, model.thinnest if observed.dimension == 2 else 0.0)
         count = int(np.clip(round(observed.length / (model.node_spacing * width)), *_NODES))
         start = interpolate(axis.points, axis.arc, (np.arange(count) + 0.5) / count * axis.arc[-1])
-        off = axis.unsupported_fraction if prediction is None else MAX_HIDDEN
+        off = axis.unsupported_fraction if prediction is None else model.max_hidden
         return self._step(observed, start, model.sigmas_initial, observed.width, off, prediction, scene)
 
     def _step(

@@ -11,7 +11,6 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import local_stretch, with_relief
 from shape_obs.tracking.state import State
-from shape_obs.tracking.validation import MAX_OFF
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -93,11 +92,11 @@ def judge_chain(
     ratio = math.sqrt(spread) / max(max(area / max(arc[-1] * (1 - hidden), 1e-9), 1.0) if area > 0 else width, 1e-9)
     excess = (ratio - _IDEAL_SCATTER) / (model.max_scatter - _IDEAL_SCATTER)
     now.follow, now.quality = False, 0.0
-    if missing - hidden > MAX_OFF:
-        return _refuse(now, _OFF, missing - hidden, MAX_OFF)
+    if missing - hidden > model.max_off:
+        return _refuse(now, _OFF, missing - hidden, model.max_off)
     if ratio > model.max_scatter:
         return _refuse(now, _NO_ROPE, ratio, model.max_scatter)
-    now.quality = math.sqrt((1 - (missing - hidden) / MAX_OFF) * min(max(1 - excess, 0.0), 1.0))
+    now.quality = math.sqrt((1 - (missing - hidden) / model.max_off) * min(max(1 - excess, 0.0), 1.0))
     stretch = max(now.stretch, 1e-9)
     if len(metres) > 0 and now.measured * model.min_stretch > was.measured > 0 and stretch < model.min_stretch:
         return _refuse(now, _LONGER, 1 / stretch - 1, 0.0)

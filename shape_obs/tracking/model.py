@@ -240,14 +240,9 @@ class LatticeModel(OutlineModel):
     # Register: sides, and what hides a part of them.
     length_tolerance: _Pair = (0.04, 0.07)  # of a side: its length may be off by so much
     border_noise: float = 2.0  # pixels: a length and a border may be off by so much
-    max_zoom: float = (
-        0.03  # of the size, in a frame: all sides in an image grow and shrink together, as it comes nearer
-    )
+    max_zoom: float = 0.03  # of the size, in a frame: all sides in an image grow and shrink together
     cut_turn: _Pair = (0.38, 0.6)  # radians by which a border turns where something hides it: on a side; at a corner
-    dent: _Pair = (
-        0.035,
-        1.5,
-    )  # of a side and pixels: a border in an image that is farther from its form is not its own
+    dent: _Pair = (0.035, 1.5)  # of a side and pixels: what is farther from a border's form is not its own
     min_buckled: float = 0.8  # of its length: a side that has buckled is not shorter
     outlier: float = 2.5  # median distances: what is nearer to the known form has bent with the rest of the sheet
     hidden_place: _Pair = (0.3, 1.0)  # of a gap and pixels: nodes in an image farther from the known form are hidden
@@ -274,9 +269,7 @@ class LatticeModel(OutlineModel):
     kink: _Pair = (25.0, 60.0)  # degrees by which a side turns: in wrinkles, and at most
     max_winding: float = 0.20  # of the way from corner to corner: excess length of a side
     max_uneven: float = 0.40  # variation of the areas of cells
-    max_unequal: float = (
-        0.03  # of a gap in space: mean difference; with more drawn cloths are wrong, with less 3 of 1,663
-    )
+    max_unequal: float = 0.03  # of a gap in space: mean difference; of 1,663 drawn frames with less, 3 are wrong
     gap_noise: float = 0.8  # errors of a point: mean difference of gaps that noise explains
 
     # Judge by depth whether it is folded or crumpled (``tests.benchmarks sheets.crumpled``). Of 170 simulated cloths

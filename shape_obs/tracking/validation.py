@@ -12,14 +12,12 @@ from shape_obs.clustering.som import best_matching_units, nearest_around
 from shape_obs.compiled import compiled
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.topology import Grid
-from shape_obs.tracking.model import LatticeModel, MotionModel, RingModel
+from shape_obs.tracking.model import LatticeModel, RingModel
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-MAX_OFF: Final = MotionModel.max_off  # of a form that may be off the mask
 _JUDGED: Final = 150  # samples are enough to measure how far a mask spreads about a curve
-MAX_HIDDEN: Final = MotionModel.max_hidden  # of a tracked shape
 _JUDGED_AROUND: Final = 256  # samples are enough to measure by how much an outline is missed
 _NEAR: Final = 6  # points of a curve, within which the nearest to a sample lies
 FOLDED: Final = "the gaps between the points differ in space: the sheet is folded or crumpled"
