@@ -40,10 +40,6 @@ _SENTENCES: Final = {
 }
 
 _IDEAL_SCATTER: Final = 12**-0.5  # widths: that of an ideal ribbon
-# In space, if something hides one end, the length in sight shows how much lies beyond it, unless a piece is too steep.
-# In space, if nothing hides an end: where strands lie one behind the other, the curve may join them.
-# By how much a rope may be too short; as the five above, from 40,000 frames of swung ropes and 7,900 under shadows,
-# exact depth and a D455's.
 
 
 def reason_of(rope: State, noun: str) -> str:

@@ -32,9 +32,6 @@ _TICK: Final = 1e-3  # seconds: stamps that are closer show no speed
 # Steps of what is hidden at the start and at the end; the first two keep their sum.
 _WAYS: Final = np.array([[1.0, -1.0], [-1.0, 1.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 _NEARER: Final = 0.9  # a surprise of -1 has no logarithm
-# What it costs, in squared standard deviations, to take an end for hidden: one of which nothing is known, one that
-# something hides, and a free one, which is then folded back or points at the camera. And by which share of the length
-# it changes from frame to frame.
 
 
 class Placed(NamedTuple):

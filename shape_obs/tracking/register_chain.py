@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import local_stretch, with_relief
-from shape_obs.geometry.polyline import interpolate
+from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
 from shape_obs.tracking.model import gain_of
 from shape_obs.tracking.occluders import (
@@ -153,7 +153,7 @@ def _match(
         if (
             was.drift > model.max_drift and min(cut) <= -model.own_tip and max(cut) > 0
         ):  # the prediction may be of other pieces
-            away = (was.drift * length) ** 2
+            away = (was.drift * arc_length(rope)[-1]) ** 2
             loosened = usual[0], max(usual[1], away)
         placed = place(
             rope, share, found, along, ends, cut, (was.hidden[0], was.hidden[1]), loosened, missing, noise,
