@@ -189,11 +189,11 @@ class Centerline(Configuration, kind="centerline"):
     def _expected(self, prediction: Prediction | None, width: float) -> tuple[State, Expected, Array, Array, Array]:
         """Return what is known and expected of a rope, as ``step_chain_in_mask`` takes it; its width in pixels."""
         if prediction is None:
-            expected = float(width), 1.0, 0.0, 0.0, math.inf, math.inf, float(width)
+            expected = float(width), 1.0, 0.0, 0.0, math.inf, 0.0, math.inf, float(width)
             return new_rope(self.model, self.length or 0.0), expected, _NO_NODES, _NOTHING, _NO_NODES
         expected = (
             float(width), float(prediction.resolution), float(prediction.stale), float(prediction.motion),
-            float(prediction.seconds), float(prediction.reach), float(prediction.width),
+            float(prediction.seconds), float(prediction.lasted), float(prediction.reach), float(prediction.width),
         )  # fmt: skip
         relief = _NOTHING if prediction.relief is None else prediction.relief
         return prediction.hints.rope, expected, prediction.nodes, relief, prediction.last

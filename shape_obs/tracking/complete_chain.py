@@ -30,7 +30,7 @@ _NONE: Final = 1e-9  # of a length: less is nothing
 @compiled
 def complete_chain(
     points: Array, arc: Array, flags: Mask, metres: Array, log_depth: Array, before: State, known: State, width: float,
-    seconds: float, nodes: Array, node_log_depth: Array, model: Any,
+    lasted: float, nodes: Array, node_log_depth: Array, model: Any,
 ) -> tuple[Array, Array, Mask, Array, Array, Array]:  # fmt: skip
     """Return the whole curve of a rope that is seen in part.
 
@@ -43,7 +43,7 @@ def complete_chain(
         before: ``(1,)`` what was known of the rope before this frame.
         known: ``(1,)`` what is known now, see ``match_to_rope``.
         width: Of the rope, pixels, as it was; 0 in a cloud.
-        seconds: Since the rope was seen.
+        lasted: Seconds for which this frame counts.
         nodes: ``(K, D)`` where it is predicted.
         node_log_depth: ``(K,)`` their log-depth; ``(0,)`` without.
         model: The constants, one ``ChainModel``.
@@ -63,7 +63,7 @@ def complete_chain(
     length = was.metres if metric else was.pixels
     head, tail, pixels = now.hidden[0] * length, now.hidden[1] * length, arc[:0]
     gap = int(now.gap[0]), int(now.gap[1])
-    level = gain_of(min(seconds, model.longest_interval), model.levelling)
+    level = gain_of(lasted, model.levelling)
     if gap[1] > gap[0]:
         scale, drawn = _seen_scale(points, stations, flags), _seen_scale(curve, stations, flags)
         stations = widened(stations, gap, now.between)

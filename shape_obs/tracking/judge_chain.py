@@ -108,9 +108,9 @@ def judge_chain(
         return _refuse(now, _BETWEEN, seen, model.min_between)
     if now.drift > model.max_drift:
         return _refuse(now, _DRIFTED, now.drift, 0.0)
-    if now.steep > model.most_end_on:
+    if now.steep > model.max_foreshortening:
         now.follow = False
-        return _refuse(now, _END_ON, now.steep, model.most_end_on)
+        return _refuse(now, _END_ON, now.steep, model.max_foreshortening)
     if len(metres) == 0:
         lost = needs_metres and was.metres > 0 and area > 0
         return _refuse(now, _UNMEASURED if lost else 0, 0.0, 0.0)

@@ -43,6 +43,10 @@ class MotionModel:
     min_seen: float = 0.3  # of an object: so much has to be in sight to report it
     nearer: float = 0.008  # metres: what is nearer than an object by more, besides its slope, is over it
 
+    def lasted(self, seconds: float) -> float:
+        """Return for how many seconds a frame counts in what is learnt, that many after the last one."""
+        return min(max(seconds, 0.0), self.longest_interval)
+
     @cached_property
     def record(self) -> Model:
         """``(1,)`` the same as compiled code takes it."""
@@ -103,8 +107,8 @@ class ChainModel(MotionModel):
     own_tip: float = 6.0  # nats: a tip that is so much likelier the rope's own than cut shows where the rope ends
     hold: float = 0.11  # s, for which an end is taken for hidden after something was seen to hide it
     still_missing: float = 0.5  # of what was hidden: an end is only taken for hidden if so much is missing
-    slides: float = 0.1  # of a bridged gap: by so much what is behind it may have slid into it
-    long_ago: float = 0.18  # s without the rope, after which it may have slid anywhere
+    gap_drift: float = 0.1  # of a bridged gap: by so much what is behind it may have moved into it
+    lost_after: float = 0.18  # s without the rope, after which it may have moved along itself by any length
 
     # Register: direction.
     clear: float = 3.0  # times: how much nearer ends are to their own places than to each other's
@@ -115,7 +119,7 @@ class ChainModel(MotionModel):
     # Register: placements.
     independent: _Pair = (4.0, 1.0)  # of 32 errors, in form and in place: neighbours err alike
     perfect: float = 0.15  # resolutions: how far off a curve is that was predicted perfectly
-    at_rest: float = 0.35  # resolutions: a rope at rest is not farther from its prediction
+    motion_floor: float = 0.35  # resolutions: a rope at rest is not farther from its prediction
     trust: float = 5.0  # squared standard deviations, beyond which costs grow slowly: predictions may be far off
     cost_of_hiding: tuple[float, float, float] = (4.0, 1.0, 16.0)  # squared s.d.: an unknown, hidden, free end
     hiding_rate: tuple[float, float, float] = (1.5, 3.0, 1.5)  # of the length in a second, of the same ends
@@ -144,7 +148,7 @@ class ChainModel(MotionModel):
     along_cut: float = 0.6  # widths of the visible piece next to a hidden end, which may follow the cut
 
     # Judge. The limits of steepness and shortness are from 40,000 frames of swung ropes and 7,900 under shadows.
-    max_drift: float = 0.02  # of the length: by so much a rope may have slid along itself unseen
+    max_drift: float = 0.02  # of the length: by so much a rope may have moved along itself unseen
     max_scatter: float = 0.40  # widths: RMS distance of what is seen from the curve; of an ideal ribbon 0.29
     min_stretch: float = 0.957  # a curve that became longer by more follows something else; a pulled band does not
     either_end: float = 0.08  # of the length: if so much more may be hidden at the other end, neither is known
@@ -152,7 +156,7 @@ class ChainModel(MotionModel):
     long_gap: float = 0.1  # of the length
     min_between: float = 0.6  # of the length: so much has to be in sight while both ends are hidden
     min_followed: float = 0.15  # of the length: with less in sight, the track stays where it was
-    most_end_on: float = 4.0  # times as long in space as in the image: its points cannot be told apart there
+    max_foreshortening: float = 4.0  # times as long in space as in the image: its points cannot be told apart there
     most_oblique: float = 2.7  # the same at the other tip, if one end is hidden
     oblique_cut: float = 2.0  # the same where that tip looks cut rather than the hidden end does
     most_missing: float = 0.016  # of the length, while both ends point at the camera

@@ -183,7 +183,7 @@ def _cost(
     for end in range(2):
         share, known = (tail if end else head) / length, ends[end]
         was = 0.0 if known == FREE else before[end]
-        change = model.trust * math.log1p(((share - was) / likely[known]) ** 2 / model.trust)
+        change = limited(((share - was) / likely[known]) ** 2, model.trust)
         if share > 0:
             price = model.cost_of_hiding[known] if was <= 0 else 0.0
             price += 0.0 if HIDDEN in ends else 2 * (max(cut) - cut[end])
@@ -199,19 +199,26 @@ def _cost(
 
 
 @compiled
-def settled(speed: float, off: float, usual: float, noise: float, seconds: float, model: Any) -> float:
+def settled(speed: float, off: float, noise: float, seconds: float, lasted: float, model: Any) -> float:
     """Return the mean square of how fast curves leave their predictions, after another frame, (U/s)^2.
 
     Args:
         speed: The same before.
         off: Mean square distance of the curve from its prediction.
-        usual: The same as it was expected.
         noise: The same of a perfect prediction.
         seconds: Since the rope was seen.
+        lasted: For how many of them this frame counts.
         model: The constants, one ``ChainModel``.
     """
-    beyond = max(min(off, model.outlier * usual) - noise, 0.0) / max(seconds, _TICK) ** 2
-    return speed + gain_of(min(seconds, model.longest_interval), model.speed_memory) * (beyond - speed)
+    most = model.outlier * (noise + speed * seconds**2)
+    beyond = max(min(off, most) - noise, 0.0) / max(seconds, _TICK) ** 2
+    return speed + gain_of(lasted, model.speed_memory) * (beyond - speed)
+
+
+@compiled
+def limited(square: float, trust: float) -> float:
+    """Return a cost in squared standard deviations that grows slowly beyond ``trust``."""
+    return trust * math.log1p(square / trust)
 
 
 @compiled
@@ -234,7 +241,7 @@ def slid(
     hidden: tuple[float, float],
     bridged: float,
     strayed: float,
-    long_ago: bool,
+    lost: bool,
 ) -> float:
     """Return by which share of its length a rope may have slid along itself while no end of it was seen.
 
@@ -248,7 +255,7 @@ def slid(
         hidden: Share of its length that is hidden there, beyond what noise explains.
         bridged: By how much of its length it may have slid into a gap that something leaves in it.
         strayed: How far it lies from its prediction, RMS, see ``beyond_rest``.
-        long_ago: Whether it was out of sight for so long that it may have slid anywhere.
+        lost: Whether it was out of sight for so long that it may have slid anywhere.
     """
     loose, anchored = 0, False
     for end in range(2):
@@ -257,7 +264,7 @@ def slid(
     sliding = loose == 2 or (loose == 1 and bridged > 0)
     if anchored and not sliding:
         return 0.0
-    now = 1.0 if long_ago else (strayed / arc_length(rope)[-1] if sliding else 0.0)
+    now = 1.0 if lost else (strayed / arc_length(rope)[-1] if sliding else 0.0)
     return min(adrift + now, max(hidden) + (bridged if HIDDEN in ends else 0.0))
 
 

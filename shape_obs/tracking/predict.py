@@ -164,12 +164,11 @@ def predict(
     rising = (_NOTHING, _NOTHING) if relief is None or climb is None else (relief, climb)
     ahead = model.velocity_share * min(max(since, 0.0), track.interval)
     nodes, deep, motion = extrapolated(track.nodes, track.velocity, *rising, ahead)
-    lasted = min(max(since, 0.0), model.longest_interval)
     steady = abs(observed.area - track.area) <= model.steady * track.area
     known = track.size, track.topology, track.hints, observed.resolution, track.width
     lapse = max(since / track.interval, 1.0) if track.interval > 0 else 1.0
     deep = relief if climb is None else deep
-    return Prediction(nodes, *known, steady, stale, deep, lapse, motion, track.nodes, since, lasted, reach)
+    return Prediction(nodes, *known, steady, stale, deep, lapse, motion, track.nodes, since, model.lasted(since), reach)
 
 
 def advance(track: Track | None, found: Fit, observed: Observed, stamp: float, model: MotionModel) -> Track:
@@ -236,7 +235,7 @@ def _believed(change: float, seconds: float, model: MotionModel) -> float:
     """Return the part of a width's relative change that is not noise, limited by the time that has passed."""
     if abs(change) <= model.width_noise:
         return 0.0
-    most = model.max_width_change * min(max(seconds, 0.0), model.longest_interval)
+    most = model.max_width_change * model.lasted(seconds)
     return max(-most, min(change, most))
 
 

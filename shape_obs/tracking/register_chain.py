@@ -30,6 +30,7 @@ from shape_obs.tracking.placement import (
     Placed,
     beyond_rest,
     disagreement,
+    limited,
     place,
     settled,
     slid,
@@ -41,9 +42,9 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Ends = tuple[int, int]
 #: Of a rope: its width in pixels, the resolution of the observation, 1 if it was lost for long, how far its nodes are
-#: expected to have moved, RMS, the seconds since it was seen, how far they can have moved since then, and its width as
-#: it was, pixels.
-Expected = tuple[float, float, float, float, float, float, float]
+#: expected to have moved, RMS, the seconds since it was seen, for how many of them this frame counts, how far the nodes
+#: can have moved since then, and its width as it was, pixels.
+Expected = tuple[float, float, float, float, float, float, float, float]
 
 _PLACES: Final = 7  # along the rope, at which a piece is compared with it to find its direction
 
@@ -106,8 +107,7 @@ def _match(
     """
     last, metric, in_space = len(arc) - 1, len(metres) > 0, points.shape[1] == 3
     along, size = metres if metric else arc, metres[-1] if metric else 0.0
-    width, resolution, stale, motion, seconds, _, _ = expected
-    lasted = min(seconds, model.longest_interval)  # for which this frame counts
+    width, resolution, stale, motion, seconds, lasted, _, _ = expected
     now.elsewhere, now.plain = 0.0, False
     gap = _widest_gap(arc, flags)
     unbroken, length = not flags.any(), was.metres if metric else was.pixels
@@ -123,12 +123,8 @@ def _match(
         for p in range(last + 1):
             steepest = max(steepest, stretched[p])
     short = (1 - along[last] / length) / model.still_missing
-    first, now.hold[0] = _still_hidden(
-        ends[0], model.length_tolerance[0] < was.hidden[0] < short, was.hold[0] - seconds, model
-    )
-    second, now.hold[1] = _still_hidden(
-        ends[1], model.length_tolerance[0] < was.hidden[1] < short, was.hold[1] - seconds, model
-    )
+    first, now.hold[0] = _still_hidden(ends[0], was.hidden[0], short, was.hold[0] - seconds, model)
+    second, now.hold[1] = _still_hidden(ends[1], was.hidden[1], short, was.hold[1] - seconds, model)
     ends = first, second
     if HIDDEN in ends:  # that explains what is missing
         first, second = first if first != UNKNOWN else FREE, second if second != UNKNOWN else FREE
@@ -150,9 +146,8 @@ def _match(
     now.drift = 0.0
     if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
         cut, loosened = (cut_head, cut_tail), usual
-        if (
-            was.drift > model.max_drift and min(cut) <= -model.own_tip and max(cut) > 0
-        ):  # the prediction may be of other pieces
+        # The prediction may be of other pieces.
+        if was.drift > model.max_drift and min(cut) <= -model.own_tip and max(cut) > 0:
             away = (was.drift * arc_length(rope)[-1]) ** 2
             loosened = usual[0], max(usual[1], away)
         placed = place(
@@ -161,22 +156,22 @@ def _match(
         )  # fmt: skip
         beyond = model.by_noise * noise / length
         hidden = max(placed.head / length - beyond, 0.0), max(placed.tail / length - beyond, 0.0)
-        long_ago = stale > 0 or seconds > model.long_ago
+        lost = stale > 0 or seconds > model.lost_after
         bridge = along[gap[1]] - along[gap[0]]
-        strayed = beyond_rest(placed.apart, motion, model.at_rest * resolution)
+        strayed = beyond_rest(placed.apart, motion, model.motion_floor * resolution)
         shown = (
             FREE if first == UNKNOWN and hidden[0] <= 0 and cut_head <= -model.own_tip else first,
             FREE if second == UNKNOWN and hidden[1] <= 0 and cut_tail <= -model.own_tip else second,
         )
-        now.drift = slid(was.drift, rope, shown, hidden, model.slides * bridge / length, strayed, long_ago)
-        now.elsewhere = 0.0 if bridge > 0 or was.drift > 0 or seconds > model.long_ago else placed.elsewhere
+        now.drift = slid(was.drift, rope, shown, hidden, model.gap_drift * bridge / length, strayed, lost)
+        now.elsewhere = 0.0 if bridge > 0 or was.drift > 0 or seconds > model.lost_after else placed.elsewhere
         bent, apart = placed.bent, placed.apart
     else:
         probes = interpolate(found, along, PROBES * along[last])
         bent, apart = disagreement(rope, share, probes, 0.0, 0.0)
-    noise_only = (model.perfect * resolution) ** 2
-    now.shape_speed = settled(was.shape_speed, bent, usual[0], noise_only, seconds, model)
-    now.pose_speed = settled(was.pose_speed, apart, usual[1], noise_only, seconds, model)
+    alone = (model.perfect * resolution) ** 2  # of noise
+    now.shape_speed = settled(was.shape_speed, bent, alone, seconds, lasted, model)
+    now.pose_speed = settled(was.pose_speed, apart, alone, seconds, lasted, model)
     hidden_length = placed.head + placed.tail
     if hidden_length <= least and not (missing > model.seems_short * noise and max(cut_head, cut_tail) > 0):
         if familiar:
@@ -231,11 +226,19 @@ def _begin(rope: Any, shapes: Array, width: float, resolution: float, model: Any
 
 
 @compiled
-def _still_hidden(known: int, may_be: bool, left: float, model: Any) -> tuple[int, float]:
-    """Return what is known about a tip, and for how many seconds it is hidden: noise may hide the evidence."""
+def _still_hidden(known: int, hidden: float, short: float, left: float, model: Any) -> tuple[int, float]:
+    """Return what is known about a tip, and for how many seconds it is hidden: noise may hide the evidence.
+
+    Args:
+        known: What this frame shows.
+        hidden: Share of the length that was hidden there before.
+        short: The largest such share for which enough is missing now.
+        left: Seconds for which it is still taken for hidden.
+        model: The constants, one ``ChainModel``.
+    """
     if known == HIDDEN:
         return HIDDEN, model.hold
-    if known == FREE and may_be and left > 0:
+    if known == FREE and model.length_tolerance[0] < hidden < short and left > 0:
         return HIDDEN, left
     return known, 0.0
 
@@ -263,7 +266,7 @@ def _runs_back(
     """
     if _is_along(found, nodes, model):
         return False, False
-    _, resolution, _, _, seconds, reach, _ = expected
+    _, resolution, _, _, seconds, _, reach, _ = expected
     way = direction(points, before, reach)
     if way != 0:
         return way < 0, False
@@ -375,8 +378,8 @@ def _unlikely(
             for d in range(len(shift)):
                 apart += (shift[d] / known) ** 2
             bent = max(square / known - apart, 0.0)
-            cost += model.trust * math.log1p(model.independent[0] * bent / usual[0] / model.trust)
-            cost += model.trust * math.log1p(model.independent[1] * apart / usual[1] / model.trust)
+            cost += limited(model.independent[0] * bent / usual[0], model.trust)
+            cost += limited(model.independent[1] * apart / usual[1], model.trust)
         least = min(least, cost)
     return least
 

@@ -45,7 +45,7 @@ _FEWEST: Final = 6  # nodes of a visible piece
 
 @compiled(
     "(i8[:,::1], u1[:,::1], UniTuple(i8, 2), UniTuple(i8, 4), " + DEPTH_TYPE + ", f8[::1], f8[:,::1], f8[::1], f8, i8, "
-    "i8, RopeState[::1], UniTuple(f8, 7), f8[:,::1], f8[::1], f8[:,::1], f8, b1, ChainConstants[::1])"
+    "i8, RopeState[::1], UniTuple(f8, 8), f8[:,::1], f8[::1], f8[:,::1], f8, b1, ChainConstants[::1])"
 )
 def step_chain_in_mask(
     runs: Indices, mask: Mask, at: tuple[int, int], edge: tuple[int, int, int, int], depth: DepthImages, lens: Array,
@@ -93,7 +93,7 @@ def step_chain_in_mask(
 
 @compiled(
     "(f8[:,::1], f8[::1], b1[::1], f8[::1], f8[::1], UniTuple(i8, 2), f8[:,::1], f8, f8, i8, i8, RopeState[::1], "
-    "UniTuple(f8, 7), f8[:,::1], f8[::1], f8[:,::1], f8, b1, ChainConstants[::1])"
+    "UniTuple(f8, 8), f8[:,::1], f8[::1], f8[:,::1], f8, b1, ChainConstants[::1])"
 )
 def step_measured_chain(
     points: Array, arc: Array, flags: Flags, metres: Array, log_depth: Array, ends: Ends, shapes: Array, spread: float,
@@ -133,7 +133,7 @@ def step_measured_chain(
     was, now, pixels = known[0], state[0], arc[:0]
     if not now.plain:
         points, arc, flags, metres, pixels, log_depth = complete_chain(
-            points, arc, flags, metres, log_depth, known, state, expected[6], expected[4], nodes, node_log_depth,
+            points, arc, flags, metres, log_depth, known, state, expected[7], expected[5], nodes, node_log_depth,
             model[0],
         )  # fmt: skip
     stations = metres if len(metres) > 0 else pixels if len(pixels) > 0 else arc

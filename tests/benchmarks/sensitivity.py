@@ -83,13 +83,8 @@ def _beams(seed: int) -> list[int]:
 
 
 @cache
-def _usual_beams(seed: int) -> list[int]:
-    return _beams(seed)
-
-
-@cache
-def _tracks(seed: int) -> list[tuple[dict[str, Any], list[Seen], list[Row]]]:
-    """Return ropes under hands, shadows, bars and borders, and swung ropes: how they are tracked, and what is found."""
+def _tracks(seed: int) -> tuple[list[tuple[dict[str, Any], list[Seen], list[Row]]], list[int]]:
+    """Return ropes that are covered or swung, how they are tracked, and what is found; and the same of ``_beams``."""
     scenes: list[tuple[dict[str, Any], list[Seen]]] = []
     for cover, approach, depth in product(_COVERS, _APPROACHES, (False, True)):
         rng = np.random.default_rng([seed, round(approach), depth])
@@ -98,7 +93,7 @@ def _tracks(seed: int) -> list[tuple[dict[str, Any], list[Seen], list[Row]]]:
     for hertz, noise, k in product(_HERTZ, (False, True), range(2)):
         frames = swinging_frames(seed + k, hertz, noise=noise, frames=100, size=_SIZE)
         scenes.append(({"depth": True, "spacing": "m", "dt": 1 / hertz}, list(frames)))
-    return [(how, frames, list(seen_rope(frames, **how))) for how, frames in scenes]
+    return [(how, frames, list(seen_rope(frames, **how))) for how, frames in scenes], _beams(seed)
 
 
 def scenes(effort: Effort) -> list[dict[str, Any]]:
@@ -119,10 +114,9 @@ def measure(scene: dict[str, Any]) -> Row:
         by how much the mean errors of the streams in sight and hidden change; the differences of counts.
     """
     kind, seed, name, place = KINDS[scene["kind"]], scene["seed"], scene["constant"], scene["place"]
-    streams, tracks = _streams(kind), _tracks(seed) if kind is Centerline else []
+    streams, (tracks, usual_beams) = _streams(kind), _tracks(seed) if kind is Centerline else ([], [])
     found: dict[str, list[float]] = {column: [] for column in ("error [%]", "hidden error [%]", "refused", "slips")}
     other, apart, before, after, refused = 0, 0, list[Row](), list[Row](), 0
-    usual_beams = _usual_beams(seed) if kind is Centerline else []
     with model_of(kind, changed(kind.model, name, place, scene["factor"])):
         for stream, expected, usual in streams:
             outcome, _ = play(stream)

@@ -274,7 +274,7 @@ def test_it_is_in_doubt_which_end_is_missing_where_a_free_end_may_be_folded_back
     rope = new_rope(ChainModel())
     rope["pixels"], rope["frames"] = 300.0, 10.0
     curve = np.column_stack([np.interp(np.linspace(first, first + 0.7, 64) - 0.5, at, row) for row in nodes.T])
-    nothing, expected = np.zeros(0), (8.0, 1.0, 0.0, 0.0, 1 / 30, np.inf, 8.0)
+    nothing, expected = np.zeros(0), (8.0, 1.0, 0.0, 0.0, 1 / 30, 1 / 30, np.inf, 8.0)
     state, *_ = step_measured_chain(
         curve, arc_length(curve), np.zeros(64, bool), nothing, nothing, (HIDDEN, FREE), np.zeros((0, 2)), 5.0, 0.0,
         1680, 16, rope, expected, nodes, nothing, nodes, 0.75, False,

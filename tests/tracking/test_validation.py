@@ -47,7 +47,7 @@ def judged_ribbon(curve: FittedCurve, observed: Region, expected_off: float) -> 
     nothing, width, model = np.zeros(0), observed.width, ChainModel()
     state, *_ = step_measured_chain(
         curve.points, curve.arc, curve.interpolated, nothing, nothing, *UNKNOWN_TIPS, spread, 0.0, observed.area, 16,
-        new_rope(model), (width, 1.0, 0.0, 0.0, np.inf, np.inf, width), np.zeros((0, 2)), nothing,
+        new_rope(model), (width, 1.0, 0.0, 0.0, np.inf, 0.0, np.inf, width), np.zeros((0, 2)), nothing,
         np.zeros((0, 2)), expected_off, False, model.record,
     )  # fmt: skip
     return FitQuality(reason_of(state, observed.noun), float(state["quality"][0]))
