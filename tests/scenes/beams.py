@@ -92,10 +92,12 @@ def tracked_beam(beams: Iterator[Beam], *, depth: bool = False, **options: Any) 
         shape = detector.detect_mask(
             beam.mask, *((beam.depth, beam.camera) if depth else (None, None)), stamp=beam.stamp
         ).shapes[0]
+        refused.append(bool(shape.reason))
         points, true = shape.pixels.astype(np.float64), resample(beam.axis, len(beam.axis))
+        if not np.isfinite(points).all():  # it was never found
+            continue
         u, v = np.clip(np.rint(points), 0, (_SIZE[1] - 1, _SIZE[0] - 1)).astype(int).T
         away = cv2.distanceTransform(255 - beam.mask, cv2.DIST_L2, 3)[v, u]
-        refused.append(bool(shape.reason))
         found["strayed"] += bool(shape.ok and np.mean(away > _OFF[0]) > _OFF[1])
         off = np.linalg.norm(points - _at(true, np.linspace(0, 1, _N)), axis=1).mean()
         found["turned"] += not shape.reason and bool(off > 0.12 * np.linalg.norm(np.diff(true, axis=0), axis=1).sum())
