@@ -171,7 +171,7 @@ class Centerline(Configuration, kind="centerline"):
             spread, width = spread + cloud.hidden_variance, cloud.ribbon_width
             stepped = step_measured_chain(
                 curve, arc_length(curve), ~cloud.carries(curve), _NOTHING, _NOTHING, *UNKNOWN_TIPS, spread, width, 0,
-                len(start), known, (0.0, *expected[1:]), nodes, log_depth, before, off, in_metres,
+                len(start), known, (0.0, *expected[1:]), nodes, log_depth, before, off, 0.0, in_metres,
                 self.model.record,
             )  # fmt: skip
         state, nodes, deep, points, flags, arc, metres, pixels, log_depth = stepped

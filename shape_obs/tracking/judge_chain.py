@@ -17,8 +17,8 @@ Mask = npt.NDArray[np.bool_]
 
 
 # Why a curve is refused. Up to ``_UNCLEAR`` it does not fit, and does not show where the rope is.
-_OFF, _NO_ROPE, _LONGER, _EITHER_END, _UNCLEAR, _UNSEEN, _BETWEEN, _DRIFTED = range(1, 9)
-_END_ON, _SHORTER, _OBLIQUE, _POINTING, _STEEP, _UNMEASURED = range(9, 15)
+_OFF, _NO_ROPE, _LONGER, _MISCONNECTED, _EITHER_END, _UNCLEAR, _UNSEEN, _BETWEEN, _DRIFTED = range(1, 10)
+_END_ON, _SHORTER, _OBLIQUE, _POINTING, _STEEP, _UNMEASURED = range(10, 16)
 #: The sentence for it, with the two figures of the state and what the rope is seen in, ``"mask"`` or ``"cloud"``.
 _SENTENCES: Final = {
     _OFF: "{0:.0%} of the curve lies off the {noun} (at most {1:.0%})",
@@ -26,6 +26,7 @@ _SENTENCES: Final = {
         "the {noun} spreads {0:.2f} widths about the curve (a ribbon 0.29, at most {1:.2f}): it is no single rope"
     ),
     _LONGER: "the curve is {0:.0%} longer than the rope",
+    _MISCONNECTED: "{0:.0%} of the curve connects pieces otherwise than the rope does (at most {1:.0%})",
     _EITHER_END: "it is in doubt which end of the rope is out of sight",
     _UNCLEAR: "it is in doubt where the rope begins",
     _UNSEEN: "{0:.0%} of the rope is in sight (at least {1:.0%})",
@@ -61,7 +62,7 @@ def is_unclear(rope: State, either_end: float) -> bool:
 @compiled
 def judge_chain(
     was: Any, now: Any, points: Array, arc: Array, flags: Mask, metres: Array, log_depth: Array, spread: float,
-    width: float, ribbon: float, area: float, off: float, begins: bool, needs_metres: bool, model: Any,
+    width: float, ribbon: float, area: float, off: float, stray: float, begins: bool, needs_metres: bool, model: Any,
 ) -> None:  # fmt: skip
     """Write the quality of a rope's curve into its state, and the first reason for which its points may be wrong.
 
@@ -78,6 +79,7 @@ def judge_chain(
         ribbon: Width of the rope, pixels; 0 in a cloud.
         area: Of the mask, pixels; 0 for a cloud.
         off: The share of the curve that may be bridged or hidden.
+        stray: The share that cannot be the rope, see ``fit_chain_in_mask``.
         begins: Whether it is numbered from the start again, so that its direction need not be clear.
         needs_metres: Whether its points lie at equal steps in space, and its track began.
         model: The constants, one ``ChainModel``.
@@ -96,6 +98,10 @@ def judge_chain(
     stretch = max(now.stretch, 1e-9)
     if len(metres) > 0 and now.measured * model.min_stretch > was.measured > 0 and stretch < model.min_stretch:
         return _refuse(now, _LONGER, 1 / stretch - 1, 0.0)
+    if stray > model.max_off:
+        return _refuse(now, _MISCONNECTED, stray, model.max_off)
+    if not begins and now.misplaced > model.max_misplaced:
+        return _refuse(now, _MISCONNECTED, now.misplaced, model.max_misplaced)
     if not begins and now.elsewhere > model.either_end:
         return _refuse(now, _EITHER_END, 0.0, 0.0)
     if not begins and now.unclear:

@@ -7,7 +7,7 @@ that touch in the image and not in space stay apart.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -17,20 +17,24 @@ from shape_obs.clustering.som import batch_epochs, best_matching_units
 from shape_obs.compiled import compiled
 from shape_obs.frame import DepthImages
 from shape_obs.geometry.curve import first_coordinates, with_relief
-from shape_obs.geometry.polyline import arc_length, catmull_rom
+from shape_obs.geometry.polyline import arc_length, catmull_rom, even_points, nearest_piece
 from shape_obs.geometry.topology import undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells, near_mask
 from shape_obs.image.rope_tip import extend_chain, rims_of, without_ends
 from shape_obs.point_cloud.chain_length import lift_chain
 from shape_obs.point_cloud.strands import gather_lifted_cells, strand_gap
-from shape_obs.tracking.occluders import HIDDEN, chain_evidence
+from shape_obs.tracking.occluders import HIDDEN, chain_evidence, open_gaps
 from shape_obs.tracking.validation import sample_spread
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]
-Drawn = tuple[Array, Array, Flags, Array, Array, float, tuple[int, int], Array]
+#: What ``fit_chain_in_mask`` returns.
+Measured = tuple[Array, Array, Flags, Array, Array, float, float, tuple[int, int], Array]
+
+_PROBES: Final = 32  # along a curve, at which it is looked whether it runs back along itself
+_APART: Final = 3  # of them: pieces that are closer along a curve are not two strands
 
 
 @compiled
@@ -48,7 +52,7 @@ def fit_chain_in_mask(
     lens: Array,
     edge: tuple[int, int, int, int],
     model: Any,
-) -> Drawn:
+) -> Measured:
     """Run the self-organising map of a chain in a mask, finish its curve and lift it into space, all in one call.
 
     Args:
@@ -69,7 +73,8 @@ def fit_chain_in_mask(
     Returns:
         ``(P, 2)`` the curve from tip to tip, pixels; its arc length in the image ``(P,)``; whether it lies off the mask
         ``(P,)``; its arc length in metres and its relief, ``(P,)``, or ``(0,)`` if they are not known; the mean square
-        distance of the pixels from it, in the image; what is known of both tips and what they look like, see
+        distance of the pixels from it, in the image; the share of it that cannot be the rope: it bridges a gap from an
+        end that is free, or runs back along itself; what is known of both tips and what they look like, see
         ``chain_evidence``.
     """
     focal = lens[0] if len(lens) > 0 else 0.0
@@ -102,13 +107,44 @@ def fit_chain_in_mask(
             metres, deep = along, np.empty(len(curve))
             for p in range(len(curve)):
                 deep[p] = focal * math.log(z[p])
+    stray = open_gaps(curve, arc, off, z, width, depth, mask, at, edge, model)
+    lifted = with_relief(curve, deep) if len(deep) > 0 else curve
+    stray += _doubled_share(even_points(lifted, arc, _PROBES, False), width / 2)
     ends, shapes = chain_evidence(curve, arc, z, width, depth, mask, at, edge, model)
     if len(deep) > 0:
         head, tail = rims_of(curve, arc, deep, width)
         head, tail = 0.0 if ends[0] == HIDDEN else head, 0.0 if ends[1] == HIDDEN else tail
         if max(head, tail) > model.least_overhang:
             curve, arc, off, metres, deep = without_ends(curve, arc, off, metres, deep, head, tail)
-    return curve, arc, off, metres, deep, spread, ends, shapes
+    return curve, arc, off, metres, deep, spread, stray, ends, shapes
+
+
+@compiled
+def _doubled_share(probes: Array, near: float) -> float:
+    """Return the share of a curve that turns round and runs back along itself, where strands would lie side by side.
+
+    Args:
+        probes: ``(P, D)`` at equal steps along the curve.
+        near: Strands that lie side by side are farther from each other.
+    """
+    count, last, turns = 0, len(probes) - 1, False
+    for n in range(_APART, last + 1 - _APART):
+        turns |= _along(probes, n - _APART, n, n, n + _APART) < 0
+    for n in range(1, last if turns else 0):
+        before, earlier, _ = nearest_piece(probes, probes[n], 0, max(n - _APART, 0))
+        after, later, _ = nearest_piece(probes, probes[n], min(n + _APART - 1, last), last)
+        piece = earlier if before < after else later
+        count += min(before, after) <= near**2 and _along(probes, n - 1, n + 1, piece, piece + 1) < 0
+    return count / (last - 1)
+
+
+@compiled
+def _along(points: Array, a: int, b: int, c: int, d: int) -> float:
+    """Return the scalar product of two chords of a polyline: from point ``a`` to ``b``, and from ``c`` to ``d``."""
+    product = 0.0
+    for k in range(points.shape[1]):
+        product += (points[b, k] - points[a, k]) * (points[d, k] - points[c, k])
+    return product
 
 
 @compiled

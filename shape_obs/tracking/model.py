@@ -111,6 +111,7 @@ class ChainModel(MotionModel):
     lost_after: float = 0.18  # s without the rope, after which it may have moved along itself by any length
 
     # Register: direction.
+    far_along: float = 0.16  # of the length: no rope slides so far along itself from one frame to the next
     clear: float = 3.0  # times: how much nearer ends are to their own places than to each other's
     unseen: float = 30.0  # squared standard deviations, for a piece where all was folded back
     uncovering: float = 2.0  # 1/s: how often an end goes out of sight or comes to light
@@ -151,6 +152,7 @@ class ChainModel(MotionModel):
     max_drift: float = 0.02  # of the length: by so much a rope may have moved along itself unseen
     max_scatter: float = 0.40  # widths: RMS distance of what is seen from the curve; of an ideal ribbon 0.29
     min_stretch: float = 0.957  # a curve that became longer by more follows something else; a pulled band does not
+    max_misplaced: float = 0.2  # of a curve, that lies where a far part of the rope was expected
     either_end: float = 0.08  # of the length: if so much more may be hidden at the other end, neither is known
     min_in_pieces: float = 0.45  # the same around a long gap: a piece behind it may be anywhere
     long_gap: float = 0.1  # of the length

@@ -19,6 +19,7 @@ from shape_obs.image.connected_runs import nearest_pixel
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
+Flags = npt.NDArray[np.bool_]
 
 #: What is known about a tip: nothing, something hides what lies behind it, it is the rope's own.
 UNKNOWN: Final = 0
@@ -109,26 +110,76 @@ def chain_evidence(
     Returns:
         What is known of both, see ``tip_evidence``; ``(2, 2)`` what they look like, see ``tip_shape``.
     """
-    last, ahead, onwards, shapes = len(points) - 1, np.empty(2), np.empty(2), np.empty((2, 2))
-    found = (0, 0)
+    shapes, found = np.empty((2, 2)), (0, 0)
     for end in range(2):
-        tip, step = (last, -1) if end else (0, 1)
-        inner = _inwards(arc, tip, step, max(width, 3.0))
-        x, y = points[tip, 0] - points[inner, 0], points[tip, 1] - points[inner, 1]
-        reach = max(math.sqrt(x * x + y * y), 1e-9)
-        ahead[0], ahead[1] = x / reach, y / reach
-        slope = abs(z[tip] - z[inner]) / reach
-        base = _inwards(arc, tip, step, model.tip_base[0] * width)
-        before = _inwards(arc, tip, step, model.tip_base[1] * width)
-        x, y = points[base, 0] - points[before, 0], points[base, 1] - points[before, 1]
-        reach = math.sqrt(x * x + y * y)
-        onwards[0], onwards[1] = (x / reach, y / reach) if reach > 0 else (ahead[0], ahead[1])
-        known = tip_evidence(
-            points[tip], ahead, points[base], onwards, width, z[tip], slope, depth, mask, at, edge, model
-        )
+        tip, step = (len(points) - 1, -1) if end else (0, 1)
+        known, ahead = _seen_at(points, arc, z, tip, step, width, depth, mask, at, edge, model)
         found = (found[0], known) if end else (known, 0)
         shapes[end, 0], shapes[end, 1] = tip_shape(points[tip], ahead, width, mask, at)
     return found, shapes
+
+
+@compiled
+def open_gaps(
+    points: Array, arc: Array, off: Flags, z: Array, width: float, depth: DepthImages, mask: Mask, at: tuple[int, int],
+    edge: tuple[int, int, int, int], model: Any,
+) -> float:  # fmt: skip
+    """Return the share of a curve in wide gaps where no rope is: depth shows what is behind it, and an end is free.
+
+    A rope under a shadow is seen to go on at both sides of the gap, though a straight bridge misses it.
+
+    Args:
+        points: As ``chain_evidence`` takes it, and all but one that follow.
+        arc: Its arc length.
+        off: ``(P,)`` where it lies off the mask.
+        z: Its depth.
+        width: Of the rope.
+        depth: The frame's.
+        mask: Of the rope.
+        at: Its place in the image.
+        edge: Of what is searched.
+        model: The constants, one ``ChainModel``.
+    """
+    (millimetres, metric), whole, last = depth, len(depth[0]) > 0, len(points) - 1
+    high, wide = millimetres.shape if whole else metric.shape
+    total, before, behind = 0.0, -1, 0
+    for p in range(last + 1):
+        if off[p]:
+            u, v = nearest_pixel(points[p, 0]), nearest_pixel(points[p, 1])
+            if 0 <= u < wide and 0 <= v < high:
+                metres = millimetres[v, u] * MILLIMETRE if whole else float(metric[v, u])
+                behind += metres < FARTHEST and metres > z[p] + model.level
+            continue
+        if before >= 0 and 2 * behind > p - before - 1 and arc[p] - arc[before] > model.max_off * arc[last]:
+            head, _ = _seen_at(points, arc, z, before, -1, width, depth, mask, at, edge, model)
+            tail, _ = _seen_at(points, arc, z, p, 1, width, depth, mask, at, edge, model)
+            total += (arc[p] - arc[before]) * (head == FREE or tail == FREE)
+        before, behind = p, 0
+    return total / max(arc[last], 1e-9)
+
+
+@compiled
+def _seen_at(
+    points: Array, arc: Array, z: Array, tip: int, step: int, width: float, depth: DepthImages, mask: Mask,
+    at: tuple[int, int], edge: tuple[int, int, int, int], model: Any,
+) -> tuple[int, Array]:  # fmt: skip
+    """Return what is known about a place at which a curve goes out of sight, and the direction ``(2,)`` ahead of it.
+
+    The rope lies before it: at the points that follow by steps of ``step``, 1 or -1. See ``chain_evidence``.
+    """
+    ahead, onwards = np.empty(2), np.empty(2)
+    inner = _inwards(arc, tip, step, max(width, 3.0))
+    x, y = points[tip, 0] - points[inner, 0], points[tip, 1] - points[inner, 1]
+    reach = max(math.sqrt(x * x + y * y), 1e-9)
+    ahead[0], ahead[1] = x / reach, y / reach
+    slope = abs(z[tip] - z[inner]) / reach
+    base = _inwards(arc, tip, step, model.tip_base[0] * width)
+    before = _inwards(arc, tip, step, model.tip_base[1] * width)
+    x, y = points[base, 0] - points[before, 0], points[base, 1] - points[before, 1]
+    reach = math.sqrt(x * x + y * y)
+    onwards[0], onwards[1] = (x / reach, y / reach) if reach > 0 else (ahead[0], ahead[1])
+    known = tip_evidence(points[tip], ahead, points[base], onwards, width, z[tip], slope, depth, mask, at, edge, model)
+    return known, ahead
 
 
 @compiled

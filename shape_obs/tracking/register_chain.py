@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import local_stretch, with_relief
-from shape_obs.geometry.polyline import arc_length, interpolate
+from shape_obs.geometry.polyline import arc_length, interpolate, nearest_piece
 from shape_obs.geometry.topology import from_tip_to_tip
 from shape_obs.tracking.model import gain_of
 from shape_obs.tracking.occluders import (
@@ -108,7 +108,7 @@ def _match(
     last, metric, in_space = len(arc) - 1, len(metres) > 0, points.shape[1] == 3
     along, size = metres if metric else arc, metres[-1] if metric else 0.0
     width, resolution, stale, motion, seconds, lasted, _, _ = expected
-    now.elsewhere, now.plain = 0.0, False
+    now.elsewhere, now.misplaced, now.plain = 0.0, 0.0, False
     gap = _widest_gap(arc, flags)
     unbroken, length = not flags.any(), was.metres if metric else was.pixels
     if len(predicted) == 0 or length <= 0:
@@ -143,7 +143,7 @@ def _match(
     spread = was.metres_spread if metric or in_space else was.pixels_spread
     noise = spread * length + (model.length_noise[0] + model.length_noise[1] * (steepest - 1)) * step
     placed, usual = Placed(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), usual_distance(was, seconds, resolution, model)
-    now.drift = 0.0
+    now.drift, probes = 0.0, interpolate(found, along, PROBES * along[last])
     if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
         cut, loosened = (cut_head, cut_tail), usual
         # The prediction may be of other pieces.
@@ -167,8 +167,11 @@ def _match(
         now.elsewhere = 0.0 if bridge > 0 or was.drift > 0 or seconds > model.lost_after else placed.elsewhere
         bent, apart = placed.bent, placed.apart
     else:
-        probes = interpolate(found, along, PROBES * along[last])
         bent, apart = disagreement(rope, share, probes, 0.0, 0.0)
+    near = max(width, 2 * resolution)
+    if apart > near**2:  # else it lies where it was predicted
+        head = placed.head / length
+        now.misplaced = _misplaced_share(rope, share, probes, head, 1 - head - placed.tail / length, near, model)
     alone = (model.perfect * resolution) ** 2  # of noise
     now.shape_speed = settled(was.shape_speed, bent, alone, seconds, lasted, model)
     now.pose_speed = settled(was.pose_speed, apart, alone, seconds, lasted, model)
@@ -382,6 +385,29 @@ def _unlikely(
             cost += limited(model.independent[1] * apart / usual[1], model.trust)
         least = min(least, cost)
     return least
+
+
+@compiled
+def _misplaced_share(
+    rope: Array, share: Array, probes: Array, head: float, seen: float, near: float, model: Any
+) -> float:
+    """Return the share of a curve that lies where a far part of the rope was expected: it is connected otherwise.
+
+    Args:
+        rope: ``(K, D)`` where it is predicted, from tip to tip.
+        share: ``(K,)`` where these points lie along it, 0...1.
+        probes: ``(32, D)`` at equal steps along the curve.
+        head: Share of the rope that is hidden at its start.
+        seen: Share of the rope that the curve is.
+        near: How far from the rope what lies on it may be.
+        model: The constants, one ``ChainModel``.
+    """
+    count = 0
+    for n in range(len(probes)):
+        square, piece, part = nearest_piece(rope, probes[n], 0, len(rope) - 1)
+        at = share[piece] + part * (share[piece + 1] - share[piece])
+        count += square <= near**2 and abs(at - head - seen * PROBES[n]) > model.far_along
+    return count / len(probes)
 
 
 @compiled

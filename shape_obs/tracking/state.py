@@ -39,6 +39,7 @@ RopeState: Final = np.dtype(
         ("gap", "i8", 2),  # the last point of the curve before its widest bridged piece and the first after; or equal
         ("between", "f8"),  # by how much that piece is longer than it is bridged
         ("elsewhere", "f8"),  # share of its length that may be hidden elsewhere, see ``Placed``
+        ("misplaced", "f8"),  # share of its curve that lies where a far part of it was predicted
         # By which share of its length other parts are hidden than before, or it is off; infinity if nothing fits.
         ("innovation", "f8"),
         ("unclear", "?"),  # whether its direction is not clear

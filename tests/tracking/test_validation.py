@@ -48,7 +48,7 @@ def judged_ribbon(curve: FittedCurve, observed: Region, expected_off: float) -> 
     state, *_ = step_measured_chain(
         curve.points, curve.arc, curve.interpolated, nothing, nothing, *UNKNOWN_TIPS, spread, 0.0, observed.area, 16,
         new_rope(model), (width, 1.0, 0.0, 0.0, np.inf, 0.0, np.inf, width), np.zeros((0, 2)), nothing,
-        np.zeros((0, 2)), expected_off, False, model.record,
+        np.zeros((0, 2)), expected_off, 0.0, False, model.record,
     )  # fmt: skip
     return FitQuality(reason_of(state, observed.noun), float(state["quality"][0]))
 
