@@ -153,7 +153,7 @@ def main(argv: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m tests.benchmarks",
         description="Measure claims against limits.",
-        epilog="record export, record track and record score have options of their own: record export --help",
+        epilog="record export, record track, record score and gates have options of their own: gates --help",
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help="claims or groups of claims (default: all)")
     parser.add_argument("--share", type=float, default=1.0, help="share of the full number of scenes (default: 1)")
