@@ -60,10 +60,12 @@ class Claimed(NamedTuple):
     Args:
         points: ``(T, NODES, 3)`` metres, camera frame; NaN in frames that were refused.
         visible: ``(T, NODES)`` the points that it calls visible; all, for a tracker that has no such flag.
+        track: ``(T,)`` the number of the track that they belong to; None for a tracker that never begins anew.
     """
 
     points: Array
     visible: npt.NDArray[np.bool_]
+    track: npt.NDArray[np.int64] | None = None
 
 
 def claims_of(detections: Sequence[Detection]) -> Claimed:
@@ -71,7 +73,8 @@ def claims_of(detections: Sequence[Detection]) -> Claimed:
     shapes = [detection.shapes[0] for detection in detections]
     refused = np.full((NODES, 3), np.nan)
     points = [shape.points3d if shape.ok and shape.points3d is not None else refused for shape in shapes]
-    return Claimed(np.stack(points).astype(np.float64), np.stack([shape.visible for shape in shapes]))
+    visible, track = np.stack([shape.visible for shape in shapes]), np.array([shape.track_id for shape in shapes])
+    return Claimed(np.stack(points).astype(np.float64), visible, track)
 
 
 def strict_score(claimed: Claimed, nodes: Array, visible: npt.NDArray[np.bool_]) -> Row:
@@ -88,13 +91,16 @@ def strict_score(claimed: Claimed, nodes: Array, visible: npt.NDArray[np.bool_])
     Returns:
         The sums that ``RECORD`` makes a table of. ``slips``: frames in which a node is in sight and its point is more
         than half a spacing of nodes away from it. ``claimed_slips``: those in which the tracker also calls the point
-        visible. ``flips``: frames in which the reversed order fits better.
+        visible. ``flips``: frames in which the reversed order fits better. ``turned``: frames in which that differs
+        from the first frame of their track: its order has turned round.
     """
     given, in_sight = np.isfinite(claimed.points).all(axis=(1, 2)), visible.any(axis=1)
     ok = given & in_sight
     found, true, seen, called = claimed.points[ok], nodes[ok], visible[ok], claimed.visible[ok]
     errors = np.linalg.norm(found - true, axis=2)
-    turned = np.linalg.norm(found[:, ::-1] - true, axis=2)
+    flipped = np.linalg.norm(found[:, ::-1] - true, axis=2).mean(axis=1) < errors.mean(axis=1)
+    track = np.zeros(len(found), np.int64) if claimed.track is None else claimed.track[ok]
+    _, first, of_track = np.unique(track, return_index=True, return_inverse=True)
     off = seen & (errors > SLIP * SPACING)
     return Row(
         frames=len(nodes),
@@ -111,7 +117,8 @@ def strict_score(claimed: Claimed, nodes: Array, visible: npt.NDArray[np.bool_])
         called=int((called & seen).sum()),
         slips=int(off.any(axis=1).sum()),
         claimed_slips=int((off & called).any(axis=1).sum()),
-        flips=int((turned.mean(axis=1) < errors.mean(axis=1)).sum()),
+        flips=int(flipped.sum()),
+        turned=int((flipped != flipped[first][of_track]).sum()),
         ms=None,
     )
 
@@ -142,6 +149,7 @@ RECORD: Final[dict[str, Column]] = {
     "claimed slips [%]": percent("claimed_slips", "ok"),
     "seen [%]": percent("called", "visible_points"),
     "flips [%]": percent("flips", "ok"),
+    "turned [%]": percent("turned", "ok"),
     "ok, gone [%]": lambda rows: percent("ok_gone", "gone")(rows) if sum(row.gone for row in rows) else None,
     "ms": _mean_time,
 }  # fmt: skip
@@ -218,8 +226,14 @@ _LONG: Final = (
 )
 _SLIDES: Final = "a rope that moves with both ends hidden may slide along itself: it is refused until an end is seen"
 _RENEWED: Final = "after max_age a new track begins, at the end nearest where the first one was in the first frame"
-_TOUCHES: Final = "strands of a loop that meet under a hand are joined wrongly, and the order may be reversed"
-_UNCERTAIN: Final = ("ok [%]", "visible [mm]", "claimed slips [%]", "flips [%]")  # they follow from a lost identity
+_TOUCHES: Final = "strands of a loop that meet under a hand may be joined wrongly; a loss may end the track"
+_UNCERTAIN: Final = (
+    "ok [%]",
+    "visible [mm]",
+    "claimed slips [%]",
+    "flips [%]",
+    "turned [%]",
+)  # they follow from a lost identity
 
 
 def _limits(known: str, where: Mapping[str, Any] | None = None, missed: Collection[str] = ()) -> tuple[Limit, ...]:
@@ -234,6 +248,7 @@ def _limits(known: str, where: Mapping[str, Any] | None = None, missed: Collecti
         Limit("ok [%]", at_least=95, unit="%", sampled=80), Limit("visible [mm]", at_most=6, unit="mm", sampled=10),
         Limit("all [mm]", at_most=5, unit="mm", known=known), Limit("slips [%]", at_most=2, unit="%", known=known),
         Limit("claimed slips [%]", at_most=3, unit="%", sampled=8), Limit("flips [%]", at_most=1, unit="%", sampled=5),
+        Limit("turned [%]", at_most=0.5, unit="%", sampled=2),
     )  # fmt: skip
     reasons = {limit.column: known if limit.column in missed else limit.known for limit in limits}
     return tuple(replace(limit, where=where or {}, known=reasons[limit.column]) for limit in limits)

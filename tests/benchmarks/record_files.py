@@ -155,11 +155,12 @@ def track(recorded: Recorded, depths: Depths) -> list[Any]:
     for frame in about["frames"]:
         rgb, depth = read_image(recorded.folder / frame["colour"]), read_depth(recorded.folder / frame["depth"][depths])
         found.append(detector.detect(rgb, depth, camera, stamp=frame["stamp"]))
+    claims = claims_of(found)
     return [
         {"points": np.round(points, _DECIMALS).tolist(), "visible": visible.tolist()}
         if np.isfinite(points).all()
         else None
-        for points, visible in zip(*claims_of(found), strict=True)
+        for points, visible in zip(claims.points, claims.visible, strict=True)
     ]
 
 

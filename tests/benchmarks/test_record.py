@@ -118,6 +118,16 @@ def test_flags_separate_slips_that_are_claimed():
     assert strict_score(Claimed(points, called), nodes, visible).slips == 0
 
 
+def test_an_order_turns_round_within_a_track_alone():
+    nodes = np.zeros((4, NODES, 3))
+    nodes[:, :, 0] = SPACING * np.arange(NODES)
+    points, visible = nodes.copy(), np.ones((4, NODES), bool)
+    points[2:] = points[2:, ::-1]
+    for track, turned in ((None, 2), ([1, 1, 1, 1], 2), ([1, 1, 2, 2], 0)):
+        row = strict_score(Claimed(points, visible, None if track is None else np.array(track)), nodes, visible)
+        assert (row.flips, row.turned) == (2, turned)
+
+
 NAN = float("nan")
 FLAGS = {"points": [[0.0] * 3] * NODES, "visible": [True]}
 
