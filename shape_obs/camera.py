@@ -36,6 +36,7 @@ _ROUNDED: Final = 1e-2  # the same of a rotation typed with two or three digits
 _MAX_PIXEL: Final = 1e12  # farther off, a projected point counts as out of sight
 _MAX_DISPARITY: Final = 1e3  # pixels
 _MAX_BASELINE: Final = 1e3  # metres
+_NATIVE: Final = 640  # columns; an image with fewer is one of this width that was made smaller
 
 Points = npt.NDArray[np.floating[Any]]
 
@@ -262,6 +263,21 @@ class DepthNoise(Spec):
             raise ValueError(f"focal: expected pixels above 0, got {focal!r}.")
         metres = np.asarray(z, dtype=np.float64)
         return metres * metres * self.disparity / (focal * self.baseline)
+
+
+_DISPARITY: Final = DepthNoise.disparity
+_BASELINE: Final = DepthNoise.baseline
+
+
+@compiled("(f8, i8)")
+def stereo_noise(focal: float, columns: int) -> float:
+    """Return the standard deviation of a pixel's depth at one metre, in metres, of a D455; it grows with the square.
+
+    Args:
+        focal: Focal length of the image, pixels.
+        columns: Of the image.
+    """
+    return _DISPARITY / (focal * max(_NATIVE / columns, 1.0) * _BASELINE)
 
 
 @compiled("(f8[:,::1], f8[::1])")

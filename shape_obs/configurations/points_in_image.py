@@ -8,14 +8,14 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import viewing_rays
+from shape_obs.camera import stereo_noise, viewing_rays
 from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, MILLIMETRE, DepthImages
 from shape_obs.geometry.topology import fill_lattice
 from shape_obs.image.connected_runs import near_mask
 from shape_obs.point_cloud.local_depth import MAX_REACH, MIN_SHARE, median_depth
 from shape_obs.point_cloud.strands import strand_gap, strand_under
-from shape_obs.tracking.belief import MAX_SIGMA, Shares, point_errors, stereo_noise
+from shape_obs.tracking.belief import MAX_SIGMA, Shares, point_errors
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]

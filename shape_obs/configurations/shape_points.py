@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import Intrinsics, viewing_rays
+from shape_obs.camera import Intrinsics, stereo_noise, viewing_rays
 from shape_obs.configurations.base import Configuration, Points
 from shape_obs.configurations.points_in_image import Seen, seen_points
 from shape_obs.frame import Frame
@@ -17,7 +17,7 @@ from shape_obs.geometry.topology import Grid
 from shape_obs.point_cloud.lifting import form_depth, lift_form
 from shape_obs.point_cloud.local_depth import median_depth
 from shape_obs.shape import Shape
-from shape_obs.tracking.belief import error_on_sheet, errors_in_cloud, known_layout, point_errors, stereo_noise
+from shape_obs.tracking.belief import error_on_sheet, errors_in_cloud, known_layout, point_errors
 from shape_obs.tracking.missing import OnInvalid, fill_invalid
 from shape_obs.tracking.model import LatticeModel
 from shape_obs.tracking.predict import Fit

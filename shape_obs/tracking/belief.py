@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import DepthNoise, Intrinsics
+from shape_obs.camera import Intrinsics, stereo_noise
 from shape_obs.compiled import compiled
 from shape_obs.geometry.topology import Chain, Grid, Ring, Topology
 
@@ -58,9 +58,6 @@ _HIDDEN_SHARE: Final = 0.32
 # diagonal; a hand that carries an object moves so.
 _DRIFT: Final = 0.25
 # Noise of stereo depth, see ``DepthNoise``, of a RealSense D455.
-_DISPARITY_NOISE: Final = DepthNoise.disparity
-_BASELINE: Final = DepthNoise.baseline
-_NATIVE: Final = 640  # columns; an image with fewer is one of this width that was made smaller
 _NO_PIXELS: Final = np.zeros((0, 2), np.float32)
 
 
@@ -193,17 +190,6 @@ def aged(sigma: npt.NDArray[np.float32], age: float, bound: float) -> npt.NDArra
         bound: Largest value returned; the points are expected to move by a quarter of it in a second.
     """
     return _bounded(np.hypot(sigma.astype(np.float64), _DRIFT * bound * age), bound)
-
-
-@compiled("(f8, i8)")
-def stereo_noise(focal: float, columns: int) -> float:
-    """Return the standard deviation of a pixel's depth at one metre, in metres, of a D455; it grows with the square.
-
-    Args:
-        focal: Focal length of the image, pixels.
-        columns: Of the image.
-    """
-    return _DISPARITY_NOISE / (focal * max(_NATIVE / columns, 1.0) * _BASELINE)
 
 
 @compiled

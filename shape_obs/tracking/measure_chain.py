@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import viewing_rays
+from shape_obs.camera import stereo_noise, viewing_rays
 from shape_obs.clustering.som import batch_epochs, best_matching_units
 from shape_obs.compiled import compiled
 from shape_obs.frame import DepthImages
@@ -107,10 +107,11 @@ def fit_chain_in_mask(
             metres, deep = along, np.empty(len(curve))
             for p in range(len(curve)):
                 deep[p] = focal * math.log(z[p])
-    stray = open_gaps(curve, arc, off, z, width, depth, mask, at, edge, model)
+    noise = stereo_noise(focal, max(depth[0].shape[1], depth[1].shape[1])) if focal > 0 else 0.0
+    stray = open_gaps(curve, arc, off, z, width, depth, noise, mask, at, edge, model)
     lifted = with_relief(curve, deep) if len(deep) > 0 else curve
     stray += _doubled_share(even_points(lifted, arc, _PROBES, False), width / 2)
-    ends, shapes = chain_evidence(curve, arc, z, width, depth, mask, at, edge, model)
+    ends, shapes = chain_evidence(curve, arc, z, width, depth, noise, mask, at, edge, model)
     if len(deep) > 0:
         head, tail = rims_of(curve, arc, deep, width)
         head, tail = 0.0 if ends[0] == HIDDEN else head, 0.0 if ends[1] == HIDDEN else tail

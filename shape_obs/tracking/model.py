@@ -86,7 +86,8 @@ class ChainModel(MotionModel):
     unfamiliar: float = 4.0  # times: how much larger the variance of a tip is that was seen once
     tip_reach: _Pair = (1.5, 8.0)  # widths and pixels around a tip in which what hides it must be
     at_border: _Pair = (0.5, 2.0)  # widths and pixels from the border, within which a rope is cut off by it
-    level: float = 0.004  # metres: what goes on at the rope's own depth, within this, is the rope
+    level: float = 0.004  # metres: what goes on at the rope's own depth, within this and noise, is the rope
+    depth_sigmas: float = 2.0  # standard deviations of a D455's depth, by which a surface may seem to be off
     touching: float = 0.06  # of the pixels ahead: that many are nearer where something hides the rope
     seen_past: float = 0.5  # of the pixels ahead: that many are behind a tip that is free
     goes_on: float = 0.7  # of the pixels straight ahead that show the rope's own surface

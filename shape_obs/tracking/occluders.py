@@ -89,6 +89,7 @@ def chain_evidence(
     z: Array,
     width: float,
     depth: DepthImages,
+    noise: float,
     mask: Mask,
     at: tuple[int, int],
     edge: tuple[int, int, int, int],
@@ -102,6 +103,7 @@ def chain_evidence(
         z: ``(P,)`` its smooth depth, metres.
         width: Of the rope, pixels.
         depth: The frame's, see ``frame.depth_images``.
+        noise: Its standard deviation at one metre, metres.
         mask: ``(h, w)`` uint8, C-contiguous.
         at: Image column and row of its first pixel.
         edge: Left, top, width and height of the part of the image that is searched, pixels.
@@ -113,7 +115,7 @@ def chain_evidence(
     shapes, found = np.empty((2, 2)), (0, 0)
     for end in range(2):
         tip, step = (len(points) - 1, -1) if end else (0, 1)
-        known, ahead = _seen_at(points, arc, z, tip, step, width, depth, mask, at, edge, model)
+        known, ahead = _seen_at(points, arc, z, tip, step, width, depth, noise, mask, at, edge, model)
         found = (found[0], known) if end else (known, 0)
         shapes[end, 0], shapes[end, 1] = tip_shape(points[tip], ahead, width, mask, at)
     return found, shapes
@@ -121,8 +123,8 @@ def chain_evidence(
 
 @compiled
 def open_gaps(
-    points: Array, arc: Array, off: Flags, z: Array, width: float, depth: DepthImages, mask: Mask, at: tuple[int, int],
-    edge: tuple[int, int, int, int], model: Any,
+    points: Array, arc: Array, off: Flags, z: Array, width: float, depth: DepthImages, noise: float, mask: Mask,
+    at: tuple[int, int], edge: tuple[int, int, int, int], model: Any,
 ) -> float:  # fmt: skip
     """Return the share of a curve in wide gaps where no rope is: depth shows what is behind it, and an end is free.
 
@@ -135,6 +137,7 @@ def open_gaps(
         z: Its depth.
         width: Of the rope.
         depth: The frame's.
+        noise: Of it.
         mask: Of the rope.
         at: Its place in the image.
         edge: Of what is searched.
@@ -148,11 +151,11 @@ def open_gaps(
             u, v = nearest_pixel(points[p, 0]), nearest_pixel(points[p, 1])
             if 0 <= u < wide and 0 <= v < high:
                 metres = millimetres[v, u] * MILLIMETRE if whole else float(metric[v, u])
-                behind += metres < FARTHEST and metres > z[p] + model.level
+                behind += metres < FARTHEST and metres > z[p] + depth_limit(model.level, z[p], noise, model)
             continue
         if before >= 0 and 2 * behind > p - before - 1 and arc[p] - arc[before] > model.max_off * arc[last]:
-            head, _ = _seen_at(points, arc, z, before, -1, width, depth, mask, at, edge, model)
-            tail, _ = _seen_at(points, arc, z, p, 1, width, depth, mask, at, edge, model)
+            head, _ = _seen_at(points, arc, z, before, -1, width, depth, noise, mask, at, edge, model)
+            tail, _ = _seen_at(points, arc, z, p, 1, width, depth, noise, mask, at, edge, model)
             total += (arc[p] - arc[before]) * (head == FREE or tail == FREE)
         before, behind = p, 0
     return total / max(arc[last], 1e-9)
@@ -160,8 +163,8 @@ def open_gaps(
 
 @compiled
 def _seen_at(
-    points: Array, arc: Array, z: Array, tip: int, step: int, width: float, depth: DepthImages, mask: Mask,
-    at: tuple[int, int], edge: tuple[int, int, int, int], model: Any,
+    points: Array, arc: Array, z: Array, tip: int, step: int, width: float, depth: DepthImages, noise: float,
+    mask: Mask, at: tuple[int, int], edge: tuple[int, int, int, int], model: Any,
 ) -> tuple[int, Array]:  # fmt: skip
     """Return what is known about a place at which a curve goes out of sight, and the direction ``(2,)`` ahead of it.
 
@@ -178,8 +181,23 @@ def _seen_at(
     x, y = points[base, 0] - points[before, 0], points[base, 1] - points[before, 1]
     reach = math.sqrt(x * x + y * y)
     onwards[0], onwards[1] = (x / reach, y / reach) if reach > 0 else (ahead[0], ahead[1])
-    known = tip_evidence(points[tip], ahead, points[base], onwards, width, z[tip], slope, depth, mask, at, edge, model)
+    known = tip_evidence(
+        points[tip], ahead, points[base], onwards, width, z[tip], slope, depth, noise, mask, at, edge, model
+    )
     return known, ahead
+
+
+@compiled
+def depth_limit(limit: float, z: float, noise: float, model: Any) -> float:
+    """Return by how much depths of one surface may differ, metres: by its form, and by noise, which grows with z^2.
+
+    Args:
+        limit: The same without noise, metres.
+        z: How far away it is, metres.
+        noise: Standard deviation of depth at one metre, metres.
+        model: The constants.
+    """
+    return math.hypot(limit, model.depth_sigmas * noise * z**2)
 
 
 @compiled
@@ -244,6 +262,7 @@ def tip_evidence(
     z: float,
     slope: float,
     depth: DepthImages,
+    noise: float,
     mask: Mask,
     at: tuple[int, int],
     edge: tuple[int, int, int, int],
@@ -260,6 +279,7 @@ def tip_evidence(
         z: Its depth at the tip, metres; NaN where it is not known.
         slope: Metres by which its depth changes in a pixel, at most.
         depth: The frame's, see ``frame.depth_images``.
+        noise: Its standard deviation at one metre, metres.
         mask: ``(h, w)`` uint8, C-contiguous.
         at: Image column and row of its first pixel.
         edge: Left, top, width and height of the part of the image that is searched, pixels.
@@ -280,6 +300,7 @@ def tip_evidence(
         return UNKNOWN
     column, row, steps = nearest_pixel(tip[0]), nearest_pixel(tip[1]), math.ceil(reach)
     count = nearer = aside = lower = 0
+    same = depth_limit(model.level, z, noise, model)
     straight, level = np.zeros(len(_TURNS)), np.zeros(len(_TURNS))
     for v in range(max(row - steps, 0), min(row + steps + 1, high), step):
         for u in range(max(column - steps, 0), min(column + steps + 1, wide), step):
@@ -301,10 +322,10 @@ def tip_evidence(
             for turn in range(len(_TURNS)):
                 if abs(off - _TURNS[turn] * on) <= max(width / 3, 1.0):
                     straight[turn] += 1
-                    level[turn] += known and abs(metres - z) <= model.level + spare
+                    level[turn] += known and abs(metres - z) <= same + spare
             if abs(across) > 0.8 * width:
                 aside += 1
-                lower += known and metres > z + model.level + spare
+                lower += known and metres > z + same + spare
     if nearer >= max(model.touching * count, 2.0):
         return HIDDEN
     for turn in range(len(_TURNS)):
