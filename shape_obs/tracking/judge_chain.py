@@ -62,7 +62,7 @@ def is_unclear(rope: State, either_end: float) -> bool:
 @compiled
 def judge_chain(
     was: Any, now: Any, points: Array, arc: Array, flags: Mask, metres: Array, log_depth: Array, spread: float,
-    width: float, ribbon: float, area: float, off: float, stray: float, begins: bool, needs_metres: bool, model: Any,
+    width: float, ribbon: float, area: float, off: float, spurious: float, begins: bool, needs_metres: bool, model: Any,
 ) -> None:  # fmt: skip
     """Write the quality of a rope's curve into its state, and the first reason for which its points may be wrong.
 
@@ -79,7 +79,7 @@ def judge_chain(
         ribbon: Width of the rope, pixels; 0 in a cloud.
         area: Of the mask, pixels; 0 for a cloud.
         off: The share of the curve that may be bridged or hidden.
-        stray: The share that cannot be the rope, see ``fit_chain_in_mask``.
+        spurious: The share that cannot be the rope, see ``fit_chain_in_mask``.
         begins: Whether it is numbered from the start again, so that its direction need not be clear.
         needs_metres: Whether its points lie at equal steps in space, and its track began.
         model: The constants, one ``ChainModel``.
@@ -98,8 +98,8 @@ def judge_chain(
     stretch = max(now.stretch, 1e-9)
     if len(metres) > 0 and now.measured * model.min_stretch > was.measured > 0 and stretch < model.min_stretch:
         return _refuse(now, _LONGER, 1 / stretch - 1, 0.0)
-    if stray > model.max_off:
-        return _refuse(now, _MISCONNECTED, stray, model.max_off)
+    if spurious > model.max_off:
+        return _refuse(now, _MISCONNECTED, spurious, model.max_off)
     if not begins and now.misplaced > model.max_misplaced:
         return _refuse(now, _MISCONNECTED, now.misplaced, model.max_misplaced)
     if not begins and now.elsewhere > model.either_end:

@@ -108,16 +108,16 @@ def fit_chain_in_mask(
             for p in range(len(curve)):
                 deep[p] = focal * math.log(z[p])
     noise = stereo_noise(focal, max(depth[0].shape[1], depth[1].shape[1])) if focal > 0 else 0.0
-    stray = open_gaps(curve, arc, off, z, width, depth, noise, mask, at, edge, model)
+    spurious = open_gaps(curve, arc, off, z, width, depth, noise, mask, at, edge, model)
     lifted = with_relief(curve, deep) if len(deep) > 0 else curve
-    stray += _doubled_share(even_points(lifted, arc, _PROBES, False), width / 2)
+    spurious += _doubled_share(even_points(lifted, arc, _PROBES, False), width / 2)
     ends, shapes = chain_evidence(curve, arc, z, width, depth, noise, mask, at, edge, model)
     if len(deep) > 0:
         head, tail = rims_of(curve, arc, deep, width)
         head, tail = 0.0 if ends[0] == HIDDEN else head, 0.0 if ends[1] == HIDDEN else tail
         if max(head, tail) > model.least_overhang:
             curve, arc, off, metres, deep = without_ends(curve, arc, off, metres, deep, head, tail)
-    return curve, arc, off, metres, deep, spread, stray, ends, shapes
+    return curve, arc, off, metres, deep, spread, spurious, ends, shapes
 
 
 @compiled

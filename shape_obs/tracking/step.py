@@ -81,13 +81,13 @@ def step_chain_in_mask(
     start, deep = axis, log_depth[:0]
     if len(axis) == 0:
         start, deep = visible_nodes(nodes, log_depth if len(lens) > 0 else deep, known)
-    curve, arc, flags, metres, deep, spread, stray, ends, shapes = fit_chain_in_mask(
+    curve, arc, flags, metres, deep, spread, spurious, ends, shapes = fit_chain_in_mask(
         runs, mask, at, start, deep, sigmas, pull, cell, expected[0], depth, lens, edge, model[0]
     )
     spread += min(cell, expected[0]) ** 2 / 12
     return step_measured_chain(
         curve, arc, flags, metres, deep, ends, shapes, spread, 0.0, area, len(start), known, expected, nodes, log_depth,
-        before, off, stray, in_metres, model,
+        before, off, spurious, in_metres, model,
     )  # fmt: skip
 
 
@@ -98,7 +98,7 @@ def step_chain_in_mask(
 def step_measured_chain(
     points: Array, arc: Array, flags: Flags, metres: Array, log_depth: Array, ends: Ends, shapes: Array, spread: float,
     width: float, area: int, count: int, known: State, expected: Expected, nodes: Array, node_log_depth: Array,
-    before: Array, off: float, stray: float, in_metres: bool, model: Model,
+    before: Array, off: float, spurious: float, in_metres: bool, model: Model,
 ) -> Stepped:  # fmt: skip
     """Follow a rope to a curve that was fitted in this frame: register, complete and judge it.
 
@@ -120,7 +120,7 @@ def step_measured_chain(
         node_log_depth: Theirs.
         before: Where they were.
         off: The share that may be bridged or hidden.
-        stray: The share that cannot be the rope, see ``fit_chain_in_mask``.
+        spurious: The share that cannot be the rope, see ``fit_chain_in_mask``.
         in_metres: Whether points lie at equal steps in space.
         model: ``(1,)`` the constants.
 
@@ -147,7 +147,7 @@ def step_measured_chain(
     cold = len(nodes) == 0
     begins = cold or (expected[2] > 0 and max(now.hidden[0], now.hidden[1]) <= now.tolerance)
     judge_chain(
-        was, now, points, arc, flags, metres, log_depth, spread, width, expected[0], float(area), off, stray, begins,
+        was, now, points, arc, flags, metres, log_depth, spread, width, expected[0], float(area), off, spurious, begins,
         in_metres and not cold, model[0],
     )  # fmt: skip
     return state, found, deep, points, flags, arc, metres, pixels, log_depth

@@ -18,13 +18,14 @@ from tests.benchmarks.scenes.swings import STIFFNESS, swung_rope
 from tests.benchmarks.scores import VISIBLE, claimed, visible_row
 from tests.benchmarks.tables import Row, of, percent, total, worst
 from tests.scenes.beams import swinging_beam, tracked_beam
-from tests.scenes.hidden_ropes import Cover, Seen, camera_of, d455, hidden_ropes, see
+from tests.scenes.hidden_ropes import DISTANCE, Cover, Seen, camera_of, d455, hidden_ropes, see
 
 Array = npt.NDArray[np.float64]
 Size = tuple[int, int]
 APPROACHES: Final = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # pixels per frame
 COVERS: Final[tuple[Cover, ...]] = ("hand", "shadow", "bar", "border")
 VGA: Final[Size] = (480, 640)
+_SMALLER: Final[Size] = (240, 320)
 _N: Final = 20
 _BEHIND: Final = 0.3  # metres from the farthest point of a swung rope to the wall
 
@@ -72,11 +73,13 @@ def _gap(points: Array) -> float:
 
 
 def covered_rope(
-    seed: int, cover: Cover, approach: float, speed: float, *, depth: bool, noise: bool = False, size: Size = VGA
-) -> Iterator[Row]:
+    seed: int, cover: Cover, approach: float, speed: float, *, depth: bool, noise: bool = False, size: Size = VGA,
+    away: float = DISTANCE,
+) -> Iterator[Row]:  # fmt: skip
     """Track a rope in a plane while something comes over it, stays and goes; yield the rows of ``visible_row``."""
     rng = np.random.default_rng([seed, round(2 * approach), round(speed)])
-    frames = list(hidden_ropes(rng, cover, approach, speed, share=float(rng.uniform(0.15, 0.45)), size=size))
+    share = float(rng.uniform(0.15, 0.45))
+    frames = list(hidden_ropes(rng, cover, approach, speed, share=share, size=size, away=away))
     return seen_rope(_measured(frames, rng, size) if noise else frames, depth=depth)
 
 
@@ -109,6 +112,13 @@ def covers(effort: Effort) -> Iterator[dict[str, Any]]:
         yield dict(zip(fields, scene, strict=True))
 
 
+def distances(effort: Effort) -> Iterator[dict[str, Any]]:
+    """Return every cover, approach, speed and distance, with the noise of depth."""
+    fields = "cover", "approach", "speed", "seed", "away"
+    for scene in product(COVERS, (1.0, 4.0, 16.0), (0.0, 3.0), effort.seeds(4), (0.7, 1.2, 1.6)):
+        yield dict(zip(fields, scene, strict=True), depth=True, noise=True, size=_SMALLER)
+
+
 def swings(effort: Effort) -> Iterator[dict[str, Any]]:
     """Return every rate, wall and depth."""
     for scene in product((100, 33, 15), effort.seeds(50), (True, False), (False, True)):
@@ -136,6 +146,17 @@ CLAIMS: Final = (
             Limit("refused [%]", at_most=3, unit="%", where={"cover": "bar"}, known=_SMALL),
             Limit("seen [%]", at_least=95, unit="%"), Limit("hidden valid [%]", at_most=25, unit="%"),
         ),
+    ),
+    Claim(
+        "hidden.distant", "The same at several distances, in smaller images whose depth has a D455's noise.",
+        distances, lambda scene: visible_row(covered_rope(**scene), cover=scene["cover"], away=scene["away"]),
+        ("cover", "away"), VISIBLE,
+        limits=(
+            Limit("slips [%]", at_most=1, unit="%"), Limit("far [%]", at_most=1, unit="%"),
+            Limit("refused [%]", at_most=3, unit="%", where=_OTHERS, sampled=8),
+            Limit("refused [%]", at_most=3, unit="%", where={"cover": "bar"}, known=_SMALL),
+        ),
+        needs=("shape_obs_envs",),
     ),
     Claim(
         "hidden.swung", "Ropes swung in space by one or both ends, with and without a wall and a D455's noise.",

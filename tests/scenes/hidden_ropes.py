@@ -29,7 +29,7 @@ _NEARER: Final = 0.08  # metres from a hand or a bar to the rope
 _HAND: Final = (40.0, 80.0)  # radius in pixels
 _AWAY: Final = 25  # frames before something comes, and after it has gone
 _STAYS: Final = 40
-_PLANE: Final = 0.7  # metres to a rope that moves in a plane
+DISTANCE: Final = 0.7  # metres to a rope that moves in a plane
 _TABLE: Final = 0.01  # metres from there to the table
 _PIECE: Final = 0.2  # radii from one drawn ball to the next
 _LONGEST: Final = 4.0  # radii from the axis to the surface, on a ray along the rope
@@ -96,6 +96,7 @@ def hidden_ropes(
     share: float = 0.3,
     size: tuple[int, int] = (480, 640),
     table: bool = True,
+    away: float = DISTANCE,
 ) -> Iterator[Seen]:
     """Draw a rope that wanders and bends in a plane while something comes over it, stays, and goes.
 
@@ -108,12 +109,13 @@ def hidden_ropes(
         share: Of the length that a hand hides or that slides out.
         size: Of the image, ``(H, W)``.
         table: Whether what lies behind the rope returns depth.
+        away: Metres from the camera; the rope looks the same, and is thicker the farther away it is.
     """
     camera, scale, width = camera_of(size), size[1] / _WIDE, float(rng.uniform(7, 13))
     motion = moving_curve(rng, speed, 100_000, width=width)
     curve = next(motion)
     hide = {"hand": _hand, "shadow": _hand, "bar": _bar, "border": _border}[cover](rng, curve)
-    state, radius, behind = _Hiding(), width / 2 * scale / camera.fx * _PLANE, _PLANE + _TABLE if table else 0.0
+    state, radius, behind = _Hiding(), width / 2 * scale / camera.fx * away, away + _TABLE if table else 0.0
     places = np.stack(np.meshgrid(np.arange(size[1]), np.arange(size[0])), axis=-1) / scale
 
     def distances() -> Iterator[float]:
@@ -134,7 +136,7 @@ def hidden_ropes(
         state = hide(curve, distance)
         moved = resample(curve + (state.slid, 0.0), 1.0) * scale
         over = None if state.covers is None else state.covers(places).astype(np.uint8) * 255
-        yield see(camera.rays(moved) * _PLANE, radius, camera, behind, over, 0.0 if cover == "shadow" else _NEARER)
+        yield see(camera.rays(moved) * away, radius, camera, behind, over, 0.0 if cover == "shadow" else _NEARER)
         curve = next(motion)
 
 
