@@ -151,7 +151,7 @@ class Contour(Configuration, kind="contour"):
             camera, there = scene.intrinsics, completed.points
             pixels = there if own is None or camera is None else camera.project(there)
             hidden = pixels[completed.interpolated]
-            if own is None or sticks_out(hidden, curve.points, self.model.inside[0]):
+            if own is None or sticks_out(hidden, curve.points, self.model.inside):
                 curve = FittedCurve.through(pixels, np.zeros(len(pixels), bool), True)
                 return *_begun_at(curve, there, begin, len(nodes), known), miss
         if own is not None:

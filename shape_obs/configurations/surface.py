@@ -196,19 +196,20 @@ class Surface(Configuration, kind="surface"):
         lattice = view.pixels(patch) if known.metric else patch
         if lattice is None:
             return Fit(reason=SHEET_WRONG[OUT_OF_SIGHT])
-        hidden, reason = ~view.region.carries(lattice), ""
+        hidden = ~view.region.carries(lattice)
         if not known.metric:
             gap = min(known.sides[0] / self.cols, known.sides[1] / self.rows)
             hidden |= doubtful_places(known.lattice, patch, gap, self.model.record)
         if border.folded:
             hidden |= beneath_fold(border.folded, known.sides)
-        elif known.metric and scene.depth is not None and view.cut.mean() < self.model.barely_cut:
-            reason = _NOTHING_OVER if view.sees_through(patch, lattice, scene.depth) else ""
-        if reason:
-            return Fit(reason=reason)
-        if (share := float(hidden.mean())) > self.model.max_hidden:
-            reason = f"{share:.0%} of the sheet is hidden (at most {self.model.max_hidden:.0%})"
-        verdict = FitQuality(reason, float(border.seen.mean()) ** 0.5)
+        elif (
+            known.metric
+            and scene.depth is not None
+            and view.cut.mean() < self.model.barely_cut
+            and view.sees_through(patch, lattice, scene.depth)
+        ):
+            return Fit(reason=_NOTHING_OVER)
+        verdict = FitQuality("", float(border.seen.mean()) ** 0.5)
         gauges = lattice_gauges(lattice.reshape(FINE, FINE, 2))
         return self._finish(view, lattice, gauges, known.seen_beside(border, patch), verdict, hidden)
 
@@ -229,8 +230,7 @@ class Surface(Configuration, kind="surface"):
         found = Fit(reason="no corners were predicted")
         if prediction is not None:
             found = self._lay_in_cloud(observed, rim, rim.corners_near(_corners(prediction.nodes)), prediction)
-        most = self.model.max_size_change
-        if found.reason or (prediction is not None and abs(found.size / prediction.size - 1) > most):
+        if found.reason:
             found = self._lay_in_cloud(observed, rim, rim.corners(), prediction)
         return found
 

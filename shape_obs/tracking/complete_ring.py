@@ -43,13 +43,9 @@ def hidden_pieces(
         model: ``(1,)`` the constants.
     """
     constants, reach = model[0], int(model[0].turn_within)
-    cut, everywhere, square = np.zeros(len(points), np.bool_), np.ones(len(known), np.bool_), 0.0
-    laying = similarity(known, nodes, everywhere)
+    cut, everywhere = np.zeros(len(points), np.bool_), np.ones(len(known), np.bool_)
     if not may_be_hidden(nodes, known, constants):
-        return cut, laid_flat(known, laying)
-    for k in range(len(known)):
-        square += (known[k, 0] - laying[1].real) ** 2 + (known[k, 1] - laying[1].imag) ** 2
-    most = constants.inside[0] + constants.inside[1] * abs(laying[0]) * math.sqrt(square / len(known))
+        return cut, laid_flat(known, similarity(known, nodes, everywhere))
     count, around = max(len(known), _LEAST_NODES), closed(points)
     at = np.arange(count, dtype=np.float64) * (len(known) / count)
     laid = closed(laid_flat(known, similarity(known, expected, everywhere)))
@@ -57,7 +53,7 @@ def hidden_pieces(
     laid = laid_along(around, laid, constants.outlier, constants.form_noise)
     places = even_around(around, arc, 0.0, count)
     at, far, inside = nearest_places(closed(laid), places)
-    off = inside & (far > most)
+    off = inside & (far > constants.inside)
     if not off.any() or off.all():
         return cut, laid
     before, more = turns_around(laid, constants.turn_reach), turns_around(places, constants.turn_reach)
@@ -91,13 +87,11 @@ def may_be_hidden(nodes: Array, known: Array, model: Any) -> bool:
         known: The same as they were, wherever they lay.
         model: The constants, one ``RingModel``.
     """
-    count, far, square, reach = len(nodes), 0.0, 0.0, int(model.turn_within)
-    laying = similarity(known, nodes, np.ones(count, np.bool_))
-    laid = laid_flat(known, laying)
+    count, far, reach = len(nodes), 0.0, int(model.turn_within)
+    laid = laid_flat(known, similarity(known, nodes, np.ones(count, np.bool_)))
     for k in range(count):
         far = max(far, math.hypot(nodes[k, 0] - laid[k, 0], nodes[k, 1] - laid[k, 1]))
-        square += (laid[k, 0] - laying[2].real) ** 2 + (laid[k, 1] - laying[2].imag) ** 2
-    if far < model.inside[0] + model.inside[1] * math.sqrt(square / count):
+    if far < model.inside:
         return False
     now, then = turns_around(nodes, model.turn_reach), turns_around(known, model.turn_reach)
     for k in range(count):

@@ -39,7 +39,6 @@ class MotionModel:
     width_noise: float = 0.03  # of the width: smaller changes are noise
     steady: float = 0.003  # of the area, by which what is seen as a whole changes from frame to frame
     max_off: float = 0.10  # of a form: so much of it may be off the mask or cloud
-    max_hidden: float = 0.75  # of a tracked object: so much of it may be out of sight
     min_seen: float = 0.3  # of an object: so much has to be in sight to report it
     nearer: float = 0.008  # metres: what is nearer than an object by more, besides its slope, is over it
 
@@ -150,6 +149,7 @@ class ChainModel(MotionModel):
     along_cut: float = 0.6  # widths of the visible piece next to a hidden end, which may follow the cut
 
     # Judge. The limits of steepness and shortness are from 40,000 frames of swung ropes and 7,900 under shadows.
+    max_hidden: float = 0.75  # of a tracked rope: so much of it may be out of sight
     max_drift: float = 0.02  # of the length: by so much a rope may have moved along itself unseen
     max_scatter: float = 0.40  # widths: RMS distance of what is seen from the curve; of an ideal ribbon 0.29
     min_stretch: float = 0.957  # a curve that became longer by more follows something else; a pulled band does not
@@ -203,14 +203,13 @@ class RingModel(OutlineModel):
     staircase: float = 0.06  # squared resolutions: what the staircase of pixels makes of a circle
     alike: float = 0.98  # of a perfect match: a better one in space is looked for near the expected place alone
     outlier: float = 2.0  # median distances: what is farther off has bent or is hidden, and counts for little
-    max_refinement: float = 1 / 24  # of the outline: by so much a shift is refined at most
 
     # Learn. Numbered by the last frame alone, an outline of noisy pixels drifts by 6 px in 180 frames.
     outline_memory: float = 0.65  # s: how fast the known outline follows the one that is found
     max_outline_change: float = 0.09  # of the radius in a second: what a hand hides slowly is not forgotten
 
     # Hidden pieces, and how they are completed.
-    inside: _Pair = (1.2, 0.01)  # pixels and radii: an outline so far within the known one is not the object's own
+    inside: float = 1.2  # pixels: an outline so far within the known one is not the object's own
     cut_turn: float = 0.28  # radians by which it turns more than the known one where something begins to hide it
     may_cut: float = 0.4  # of that turn: with less between its nodes, nothing hides a piece
     turn_reach: float = 1 / 16  # of the outline to either side: a turn is measured over it
@@ -238,7 +237,6 @@ class LatticeModel(OutlineModel):
     corner_reach: float = 0.8  # half diagonals from where a corner is expected: it is not looked for farther off
     corner_spread: _Pair = (0.035, 0.12)  # half diagonals: of one from where the others put it; tilt moves it in space
     shift_spread: float = 0.3  # half diagonals: standard deviation of the motion of all corners
-    turn_spread: float = 0.35  # radians: standard deviation of how they turn
     scale_spread: float = 0.15  # standard deviation of the logarithm of their scale
     min_scale: float = 0.5  # times: corners do not come so much nearer to each other
     cost_of_hiding: float = 3.0  # squared standard deviations: of a hidden corner
@@ -250,7 +248,6 @@ class LatticeModel(OutlineModel):
     max_zoom: float = 0.03  # of the size, in a frame: all sides in an image grow and shrink together
     cut_turn: _Pair = (0.38, 0.6)  # radians by which a border turns where something hides it: on a side; at a corner
     dent: _Pair = (0.035, 1.5)  # of a side and pixels: what is farther from a border's form is not its own
-    min_buckled: float = 0.8  # of its length: a side that has buckled is not shorter
     outlier: float = 2.5  # median distances: what is nearer to the known form has bent with the rest of the sheet
     hidden_place: _Pair = (0.3, 1.0)  # of a gap and pixels: nodes in an image farther from the known form are hidden
 
@@ -258,7 +255,6 @@ class LatticeModel(OutlineModel):
     border_bend: _Pair = (0.05, 0.12)  # of the way from a corner: a border is followed while it is no farther off
     own_length: float = 2.0  # tolerances: a side that is off by less between two corners in sight is all its own
     trimmed: float = 1.0  # points of a border before it leaves its form, and next to a corner, which are not used
-    max_misfit: float = 0.06  # of the size: RMS distance of what is seen of a border from the known one
     barely_cut: float = 0.1  # of the outline, next to which something nearer is seen, as a gripper is
     behind: float = 0.01  # metres: what is farther behind a sheet would be hidden by it
     max_seen_through: float = 0.02  # of a sheet: the border of what is put back may be a little outside
@@ -284,9 +280,7 @@ class LatticeModel(OutlineModel):
     # waves one was not within them, under 2 mm of noise.
     min_measured: float = 0.8  # of the nodes of a row: so many need depth, so that its length is known
     flying: float = 2.0  # pixels from the border, whose depth may be between the sheet's and that of what is behind
-    smeared: float = 3.0  # pixels from the border, whose depth may be that of what is behind
     step: float = 0.005  # metres between two samples: two layers of a towel, 5 times a D455's noise at 0.7 m
-    step_slope: float = 1.5  # metres of depth for each metre: steeper than any crease of a cloth in waves (1.0)
     step_noise: float = 4.0  # times the median of the largest steps of all gaps, which is noise
     fall_noise: float = 2.0  # times the same: a smaller fall at a border may be noise
     steep: float = 0.55  # radians by which a surface leans at its border, where it may turn away

@@ -198,8 +198,7 @@ def _cost_of_corners(
         if chosen[k] >= 0:
             cost += (abs(to[chosen[k]] - after - product * (at[k] - before)) / (spread * reach)) ** 2
     cost += (abs(after - before) / (model.shift_spread * reach)) ** 2
-    cost += (math.log(abs(product)) / model.scale_spread) ** 2
-    return float(cost + (math.atan2(product.imag, product.real) / model.turn_spread) ** 2)
+    return float(cost + (math.log(abs(product)) / model.scale_spread) ** 2)
 
 
 @compiled
@@ -229,8 +228,7 @@ def compare_sheet(
     zoom, side, most = 1.0 if metric else zoom_of(lengths, sides, model.max_zoom), 0, 0.0
     for k in range(4):
         off = (lengths[k] / zoom - sides[k]) / slack[k]
-        if buckled and off < 0 and lengths[k] > model.min_buckled * sides[k]:
-            off = 0.0
+        off = max(off, 0.0) if buckled else off
         if abs(off) > abs(most):
             side, most = k, off
     if abs(most) > 1:
