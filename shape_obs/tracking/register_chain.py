@@ -170,8 +170,8 @@ def _match(
         bent, apart = disagreement(rope, share, probes, 0.0, 0.0)
     near = max(width, 2 * resolution)
     if apart > near**2:  # else it lies where it was predicted
-        head = placed.head / length
-        now.misplaced = _misplaced_share(rope, share, probes, head, 1 - head - placed.tail / length, near, model)
+        hidden = placed.head / length, placed.tail / length
+        now.misplaced = _misplaced_share(rope, share, probes, hidden, along[last] / length, near, model)
     alone = (model.perfect * resolution) ** 2  # of noise
     now.shape_speed = settled(was.shape_speed, bent, alone, seconds, lasted, model)
     now.pose_speed = settled(was.pose_speed, apart, alone, seconds, lasted, model)
@@ -389,25 +389,29 @@ def _unlikely(
 
 @compiled
 def _misplaced_share(
-    rope: Array, share: Array, probes: Array, head: float, seen: float, near: float, model: Any
+    rope: Array, share: Array, probes: Array, hidden: tuple[float, float], seen: float, near: float, model: Any
 ) -> float:
     """Return the share of a curve that lies where a far part of the rope was expected: it is connected otherwise.
+
+    More of the rope than is known may come to light at one of its ends.
 
     Args:
         rope: ``(K, D)`` where it is predicted, from tip to tip.
         share: ``(K,)`` where these points lie along it, 0...1.
         probes: ``(32, D)`` at equal steps along the curve.
-        head: Share of the rope that is hidden at its start.
-        seen: Share of the rope that the curve is.
+        hidden: Shares of the rope at its ends.
+        seen: Length of the curve over that of the rope.
         near: How far from the rope what lies on it may be.
         model: The constants, one ``ChainModel``.
     """
-    count = 0
+    from_start = from_end = 0
     for n in range(len(probes)):
         square, piece, part = nearest_piece(rope, probes[n], 0, len(rope) - 1)
-        at = share[piece] + part * (share[piece + 1] - share[piece])
-        count += square <= near**2 and abs(at - head - seen * PROBES[n]) > model.far_along
-    return count / len(probes)
+        if square <= near**2:
+            at = share[piece] + part * (share[piece + 1] - share[piece])
+            from_start += abs(at - hidden[0] - seen * PROBES[n]) > model.far_along
+            from_end += abs(1 - at - hidden[1] - seen * (1 - PROBES[n])) > model.far_along
+    return min(from_start, from_end) / len(probes)
 
 
 @compiled
