@@ -100,10 +100,10 @@ def judge_chain(
         return _refuse(now, _LONGER, 1 / stretch - 1, 0.0)
     if spurious > model.max_off:
         return _refuse(now, _MISCONNECTED, spurious, model.max_off)
-    if not begins and now.misplaced > model.max_misplaced:
-        return _refuse(now, _MISCONNECTED, now.misplaced, model.max_misplaced)
     if not begins and now.elsewhere > model.either_end:
         return _refuse(now, _EITHER_END, 0.0, 0.0)
+    if not begins and now.misplaced > model.max_misplaced:
+        return _refuse(now, _MISCONNECTED, now.misplaced, model.max_misplaced)
     if not begins and now.unclear:
         return _refuse(now, _UNCLEAR, 0.0, 0.0)
     now.follow = seen >= model.min_followed
