@@ -102,6 +102,8 @@ def complete_border(
     if not sharp.any():
         return None
     off = found - laid
+    if np.sqrt((off[sharp] ** 2).sum(axis=1).mean()) > model.max_misfit * sides.mean():
+        return None
     off = [np.interp(index, index[sharp], column[sharp], period=4 * SIDE) for column in off.T]
     points, folded = laid + np.stack(off, axis=1), []
     for k in range(4):

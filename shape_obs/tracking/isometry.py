@@ -174,7 +174,7 @@ def _look(
 ) -> tuple[Array, float, float, float, float, float]:  # fmt: skip
     """Return the fields of ``Isometry``; steps are looked for along every other line of the lattice."""
     constants = model[0]
-    space, focal, torn, turned = viewing_rays(lattice, lens), (lens[0] + lens[1]) / 2, 0.0, 0.0
+    space, focal, torn, turned, spacing = viewing_rays(lattice, lens), (lens[0] + lens[1]) / 2, 0.0, 0.0, 0.0
     steps, begins = np.zeros((2, FINE // 2, FINE)), np.empty(FINE, np.int64)
     trends, falls = np.zeros((2, FINE // 2, FINE)), np.zeros((2, FINE // 2, 2))
     for p in range(len(lattice)):
@@ -188,12 +188,15 @@ def _look(
             along = _profile(lattice, hidden, depth, unit, mask, at, nodes, begins)
             last, wide = begins[_LAST], lattice[nodes[_LAST]] - lattice[nodes[0]]
             pixels = math.hypot(wide[0], wide[1])
-            angle, flying = pixels / (last * focal), math.ceil(constants.flying * last / max(pixels, 1.0))
+            angle, margin = pixels / (last * focal), math.ceil(constants.smeared * last / max(pixels, 1.0))
+            flying = math.ceil(constants.flying * last / max(pixels, 1.0))
+            middle = along[begins[FINE // 2]] * angle
+            spacing = max(spacing, middle if math.isfinite(middle) else 0.0)
             for k in range(1, _LAST - 1):
                 trend = (along[begins[k + 2]] - along[begins[k - 1]]) / (begins[k + 2] - begins[k - 1])
                 trend = trend if math.isfinite(trend) else 0.0
                 trends[down, i, k] = abs(trend)
-                for j in range(max(begins[k], flying), min(begins[k + 1], last - flying)):
+                for j in range(max(begins[k], margin), min(begins[k + 1], last - margin)):
                     rise = abs(along[j + 1] - along[j] - trend)
                     if rise > steps[down, i, k]:
                         steps[down, i, k] = rise
@@ -203,7 +206,7 @@ def _look(
     # A sample is read up to half a pixel from its place: on a slope that is a step too.
     slope = max(np.median(trends[0, :, 1 : _LAST - 1]), np.median(trends[1, :, 1 : _LAST - 1]))
     noise = np.median(steps[:, :, 1 : _LAST - 1])
-    limit = max(constants.step, constants.step_noise * noise) + slope
+    limit = max(constants.step, constants.step_noise * noise, constants.step_slope * spacing) + slope
     for down in range(2):
         torn_lines, turned_lines = 0, np.zeros(2)
         for i in range(FINE // 2):

@@ -203,6 +203,7 @@ class RingModel(OutlineModel):
     staircase: float = 0.06  # squared resolutions: what the staircase of pixels makes of a circle
     alike: float = 0.98  # of a perfect match: a better one in space is looked for near the expected place alone
     outlier: float = 2.0  # median distances: what is farther off has bent or is hidden, and counts for little
+    max_refinement: float = 1 / 24  # of the outline: by so much a shift is refined at most
 
     # Learn. Numbered by the last frame alone, an outline of noisy pixels drifts by 6 px in 180 frames.
     outline_memory: float = 0.65  # s: how fast the known outline follows the one that is found
@@ -255,6 +256,7 @@ class LatticeModel(OutlineModel):
     border_bend: _Pair = (0.05, 0.12)  # of the way from a corner: a border is followed while it is no farther off
     own_length: float = 2.0  # tolerances: a side that is off by less between two corners in sight is all its own
     trimmed: float = 1.0  # points of a border before it leaves its form, and next to a corner, which are not used
+    max_misfit: float = 0.06  # of the size: RMS distance of what is seen of a border from the known one
     barely_cut: float = 0.1  # of the outline, next to which something nearer is seen, as a gripper is
     behind: float = 0.01  # metres: what is farther behind a sheet would be hidden by it
     max_seen_through: float = 0.02  # of a sheet: the border of what is put back may be a little outside
@@ -280,7 +282,9 @@ class LatticeModel(OutlineModel):
     # waves one was not within them, under 2 mm of noise.
     min_measured: float = 0.8  # of the nodes of a row: so many need depth, so that its length is known
     flying: float = 2.0  # pixels from the border, whose depth may be between the sheet's and that of what is behind
+    smeared: float = 3.0  # pixels from the border, whose depth may be that of what is behind
     step: float = 0.005  # metres between two samples: two layers of a towel, 5 times a D455's noise at 0.7 m
+    step_slope: float = 1.5  # metres of depth for each metre: steeper than any crease of a cloth in waves (1.0)
     step_noise: float = 4.0  # times the median of the largest steps of all gaps, which is noise
     fall_noise: float = 2.0  # times the same: a smaller fall at a border may be noise
     steep: float = 0.55  # radians by which a surface leans at its border, where it may turn away

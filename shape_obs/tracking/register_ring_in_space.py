@@ -145,7 +145,11 @@ def _without_bends(
         model: The constants, one ``RingModel``.
     """
     count = cos.shape[1]
-    every = max(count // _COMPARED, 1)
+    low, high, every = (
+        shift - model.max_refinement * count,
+        shift + model.max_refinement * count,
+        max(count // _COMPARED, 1),
+    )
     cos, sin = cos[:, ::every] * (2 / count), sin[:, ::every] * (2 / count)
     some = _drawn(reference, cos, sin)
     weight, moved, ahead, off = np.ones(len(some)), np.empty_like(found), np.empty_like(found), np.empty_like(some)
@@ -183,7 +187,7 @@ def _without_bends(
         for i in range(7):
             normal[i, i] += 1e-12
         step = -np.linalg.solve(normal, slope)[0]
-        shift += min(max(step, -1.0), 1.0)
+        shift = min(max(shift + min(max(step, -1.0), 1.0), low), high)
     return shift
 
 
