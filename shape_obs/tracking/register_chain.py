@@ -168,10 +168,6 @@ def _match(
         bent, apart = placed.bent, placed.apart
     else:
         bent, apart = disagreement(rope, share, probes, 0.0, 0.0)
-    near = max(width, 2 * resolution)
-    if apart > near**2:  # else it lies where it was predicted
-        hidden = placed.head / length, placed.tail / length
-        now.misplaced = _misplaced_share(rope, share, probes, hidden, along[last] / length, near, model)
     alone = (model.perfect * resolution) ** 2  # of noise
     now.shape_speed = settled(was.shape_speed, bent, alone, seconds, lasted, model)
     now.pose_speed = settled(was.pose_speed, apart, alone, seconds, lasted, model)
@@ -186,6 +182,10 @@ def _match(
         shorten_length(now, arc[last], size, free, lasted, model)
     now.hidden[0], now.hidden[1], now.hides = placed.head / length, placed.tail / length, hidden_length > 0
     now.plain = gap[1] == gap[0] and not now.hides
+    near = max(width, 2 * resolution)
+    if not now.plain and apart > near**2:  # all of it in one piece is the rope, wherever it was predicted
+        hidden = placed.head / length, placed.tail / length
+        now.misplaced = _misplaced_share(rope, share, probes, hidden, along[last] / length, near, model)
     for end in range(2):
         now.occluded[end], now.folded[end] = ends[end] == HIDDEN, ends[end] == FREE
     now.occlusion[0], now.occlusion[1] = cut_head, cut_tail
