@@ -120,7 +120,7 @@ def _heading(curve: Array, share: float, width: float, out: Array) -> None:
 
 
 @compiled
-def _depth_at(depth: DepthImages, u: float, v: float) -> float:
+def depth_at(depth: DepthImages, u: float, v: float) -> float:
     """Return the depth at a pixel in metres; 0 where there is none."""
     millimetres, metric = depth
     high, wide = millimetres.shape if len(millimetres) > 0 else metric.shape
@@ -154,7 +154,7 @@ def _by_depth(
             if not 0 <= here + offset <= arc[-1]:
                 continue
             u, v = _place(curve, arc, here + offset)
-            metres = _depth_at(depth, u, v)
+            metres = depth_at(depth, u, v)
             if metres > 0:
                 seen[number], where[number] = metres, offset
                 number += 1
@@ -162,7 +162,7 @@ def _by_depth(
         for i in range(2 * _SAMPLES):
             offset = (2 * i / (2 * _SAMPLES - 1) - 1) * _ON_TOP * min(widths[k], widths[other])
             u, v = _place(curve, arc, here + offset)
-            metres = _depth_at(depth, u, v)
+            metres = depth_at(depth, u, v)
             if metres > 0:
                 on_top[top] = metres
                 top += 1

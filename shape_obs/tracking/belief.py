@@ -57,7 +57,6 @@ _HIDDEN_SHARE: Final = 0.32
 # A shape that is not seen is expected to move by this share of the bound in a second: 0.25 m/s, or a quarter of the
 # diagonal; a hand that carries an object moves so.
 _DRIFT: Final = 0.25
-# Noise of stereo depth, see ``DepthNoise``, of a RealSense D455.
 _NO_PIXELS: Final = np.zeros((0, 2), np.float32)
 
 

@@ -107,10 +107,11 @@ def fit_chain_in_mask(
             metres, deep = along, np.empty(len(curve))
             for p in range(len(curve)):
                 deep[p] = focal * math.log(z[p])
-    noise = stereo_noise(focal, max(depth[0].shape[1], depth[1].shape[1])) if focal > 0 else 0.0
+    columns = max(depth[0].shape[1], depth[1].shape[1])
+    noise = stereo_noise(focal, columns) if focal > 0 and columns > 0 else 0.0
     spurious = open_gaps(curve, arc, off, z, width, depth, noise, mask, at, edge, model)
-    lifted = with_relief(curve, deep) if len(deep) > 0 else curve
-    spurious += _doubled_share(even_points(lifted, arc, _PROBES, False), width / 2)
+    strand = with_relief(curve, deep) if len(deep) > 0 else curve
+    spurious += _doubled_share(even_points(strand, arc, _PROBES, False), width / 2)
     ends, shapes = chain_evidence(curve, arc, z, width, depth, noise, mask, at, edge, model)
     if len(deep) > 0:
         head, tail = rims_of(curve, arc, deep, width)

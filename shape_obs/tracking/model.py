@@ -111,7 +111,7 @@ class ChainModel(MotionModel):
     lost_after: float = 0.18  # s without the rope, after which it may have moved along itself by any length
 
     # Register: direction.
-    far_along: float = 0.16  # of the length: no rope slides so far along itself from one frame to the next
+    far_along: float = 0.16  # of the length: no rope that is seen in part slides so far between two frames
     clear: float = 3.0  # times: how much nearer ends are to their own places than to each other's
     unseen: float = 30.0  # squared standard deviations, for a piece where all was folded back
     uncovering: float = 2.0  # 1/s: how often an end goes out of sight or comes to light

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.frame import FARTHEST, MILLIMETRE, DepthImages
 from shape_obs.image.connected_runs import nearest_pixel
+from shape_obs.image.over_under import depth_at
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
@@ -143,15 +144,10 @@ def open_gaps(
         edge: Of what is searched.
         model: The constants, one ``ChainModel``.
     """
-    (millimetres, metric), whole, last = depth, len(depth[0]) > 0, len(points) - 1
-    high, wide = millimetres.shape if whole else metric.shape
-    total, before, behind = 0.0, -1, 0
+    last, total, before, behind = len(points) - 1, 0.0, -1, 0
     for p in range(last + 1):
         if off[p]:
-            u, v = nearest_pixel(points[p, 0]), nearest_pixel(points[p, 1])
-            if 0 <= u < wide and 0 <= v < high:
-                metres = millimetres[v, u] * MILLIMETRE if whole else float(metric[v, u])
-                behind += metres < FARTHEST and metres > z[p] + depth_limit(model.level, z[p], noise, model)
+            behind += depth_at(depth, points[p, 0], points[p, 1]) > z[p] + depth_limit(model.level, z[p], noise, model)
             continue
         if before >= 0 and 2 * behind > p - before - 1 and arc[p] - arc[before] > model.max_off * arc[last]:
             head, _ = _seen_at(points, arc, z, before, -1, width, depth, noise, mask, at, edge, model)

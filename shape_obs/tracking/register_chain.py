@@ -143,7 +143,7 @@ def _match(
     spread = was.metres_spread if metric or in_space else was.pixels_spread
     noise = spread * length + (model.length_noise[0] + model.length_noise[1] * (steepest - 1)) * step
     placed, usual = Placed(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), usual_distance(was, seconds, resolution, model)
-    now.drift, probes = 0.0, interpolate(found, along, PROBES * along[last])
+    now.drift = 0.0
     if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
         cut, loosened = (cut_head, cut_tail), usual
         # The prediction may be of other pieces.
@@ -167,7 +167,7 @@ def _match(
         now.elsewhere = 0.0 if bridge > 0 or was.drift > 0 or seconds > model.lost_after else placed.elsewhere
         bent, apart = placed.bent, placed.apart
     else:
-        bent, apart = disagreement(rope, share, probes, 0.0, 0.0)
+        bent, apart = disagreement(rope, share, interpolate(found, along, PROBES * along[last]), 0.0, 0.0)
     alone = (model.perfect * resolution) ** 2  # of noise
     now.shape_speed = settled(was.shape_speed, bent, alone, seconds, lasted, model)
     now.pose_speed = settled(was.pose_speed, apart, alone, seconds, lasted, model)
@@ -184,7 +184,7 @@ def _match(
     now.plain = gap[1] == gap[0] and not now.hides
     near = max(width, 2 * resolution)
     if not now.plain and apart > near**2:  # all of it in one piece is the rope, wherever it was predicted
-        hidden = placed.head / length, placed.tail / length
+        probes, hidden = interpolate(found, along, PROBES * along[last]), (placed.head / length, placed.tail / length)
         now.misplaced = _misplaced_share(rope, share, probes, hidden, along[last] / length, near, model)
     for end in range(2):
         now.occluded[end], now.folded[end] = ends[end] == HIDDEN, ends[end] == FREE

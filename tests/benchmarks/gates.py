@@ -67,8 +67,8 @@ def gate(before: Measured, now: Measured, column: Column, larger_is_better: bool
     """
     first, second = (_value(column, tracks, range(len(tracks))) for tracks in (before, now))
     if first is None or second is None:
-        lost = second is None and first is not None
-        return Gate(first, second, None, None, "worse" if lost else "better" if first is not None or second else "-")
+        verdict = "worse" if first is not None else "better" if second is not None else "-"
+        return Gate(first, second, None, None, verdict)
     drawn = np.random.default_rng(seed).integers(len(now), size=(_DRAWS, len(now)))
     differences = []
     for tracks in drawn.tolist():

@@ -60,7 +60,7 @@ class Claimed(NamedTuple):
     Args:
         points: ``(T, NODES, 3)`` metres, camera frame; NaN in frames that were refused.
         visible: ``(T, NODES)`` the points that it calls visible; all, for a tracker that has no such flag.
-        track: ``(T,)`` the number of the track that they belong to; None for a tracker that never begins anew.
+        track: ``(T,)`` the number of the track that they belong to; None for a tracker that begins once.
     """
 
     points: Array

@@ -49,6 +49,7 @@ def test_a_value_that_is_lost_is_worse():
     none = [[Row(slips=0, ok=0)] for _ in range(3)]
     mean = lambda rows: None if not sum(row.ok for row in rows) else 0.0  # noqa: E731
     assert gate(tracks(0.0, 1, 3), none, mean, False).verdict == "worse"
+    assert gate(none, tracks(0.0, 1, 3), mean, False).verdict == "better"
     assert gate(none, none, mean, False).verdict == "-"
 
 
