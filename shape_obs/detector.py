@@ -5,7 +5,6 @@ image -> region -> initial form or prediction -> self-organising map -> matched 
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
@@ -18,8 +17,7 @@ from shape_obs.camera import CameraLike, as_camera_model
 from shape_obs.clustering.base import Clusterer
 from shape_obs.compiled import compile_now
 from shape_obs.config.detector_config import DetectorConfig
-from shape_obs.configurations.anchors import Anchors
-from shape_obs.configurations.base import Configuration, Scene
+from shape_obs.configurations.base import Configuration
 from shape_obs.configurations.shape_points import SHAPE_FUNCTIONS
 from shape_obs.frame import Frame
 from shape_obs.geometry.crossings import Crossing
@@ -35,9 +33,10 @@ from shape_obs.image.roi import ROI
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.shape import Detection, Shape
 from shape_obs.slots import SLOT_FUNCTIONS, Slots
-from shape_obs.tracker import Moment, Tracker
+from shape_obs.tracker import Tracker
 from shape_obs.tracking.clock import Clock
 from shape_obs.tracking.predict import Fit
+from shape_obs.tracking.scene import Anchors, Scene
 from shape_obs.tracking.search_window import RegionSearch
 from shape_obs.tracking.speed_gate import TRACK_FUNCTIONS
 from shape_obs.utils.threads import use_no_threads_in_forked_children
@@ -199,13 +198,13 @@ class ShapeDetector:
             self._units.look_at_cloud(cloud.points)
         now = _lap(timings := {}, "cloud", begin)
         self._clock.tick(frame.stamp)
-        moment, shapes = Moment(frame, self._clock, anchors, timings, in_2d=False, in_3d=True), []
+        scene, shapes = Scene(frame, self._clock, anchors, in_2d=False, in_3d=True), []
         for tracker in self._followed:
             if isinstance(tracker, Slots):
                 raise ValueError(f"shape {tracker.spec.name!r}: a cloud is of one object; count= needs an image.")
-            found = tracker.fit(cloud, moment, Scene())
+            found = tracker.fit(cloud, scene)
             now = _lap(timings, "fit", now)
-            shapes.append(tracker.finish(found, moment))
+            shapes.append(tracker.finish(found, scene))
             now = _lap(timings, "lift", now)
         _lap(timings, "total", begin)
         return Detection(tuple(shapes), self._clock.stamp, timings, self._clock.warning)
@@ -230,17 +229,23 @@ class ShapeDetector:
             search = RegionSearch(frame, mask, roi, self.shapes, tracks, self._frames % _SEARCH_ALL == 0)
         self._clock.tick(frame.stamp)
         size = (frame.size or (0, 0)) if mask is None else (mask.shape[0], mask.shape[1])
-        moment, shapes = Moment(frame, self._clock, anchors, timings, in_2d=True, in_3d=with_depth, size=size), []
+        edge, shapes = None if search is None else search.whole, []
+        scene = Scene(frame, self._clock, anchors, in_2d=True, in_3d=with_depth, size=size, edge=edge)
+        if with_depth and frame.camera is not None:
+            scene = scene._replace(depth=frame.depth, intrinsics=frame.camera.intrinsics, images=frame.images)
         for followed in self._followed:
-            shapes += self._find(followed, search, reason, moment)
+            if search is None:
+                shapes += [tracker.finish(Fit(reason=reason), scene) for tracker in followed.trackers]
+            else:
+                shapes += self._find(followed, search, scene, timings)
         if self._units.pending and frame.depth is not None and search is not None:
             self._units.look_at_depth(search.regions.values(), frame.depth)
-        shapes, crossings = self._cross(shapes, moment)
+        shapes, crossings = self._cross(shapes, frame)
         _lap(timings, "total", begin)
         more = {each.spec.name: each.more for each in self._followed if isinstance(each, Slots) and each.more}
         return Detection(tuple(shapes), self._clock.stamp, timings, self._clock.warning, more, crossings)
 
-    def _cross(self, shapes: list[Shape], moment: Moment) -> tuple[list[Shape], tuple[Crossing, ...]]:
+    def _cross(self, shapes: list[Shape], frame: Frame) -> tuple[list[Shape], tuple[Crossing, ...]]:
         """Find where ropes cross, and which one is above; return the shapes with their crossings, and all of them."""
         followed = [tracker for tracker in self._trackers if tracker.strand is not None]
         curves = [tracker.strand[0] for tracker in followed if tracker.strand is not None]
@@ -249,7 +254,7 @@ class ShapeDetector:
         names = [tracker.spec.name for tracker in followed]
         widths = [tracker.strand[1] for tracker in followed if tracker.strand is not None]
         crossings = find_crossings(curves, names)
-        crossings = find_layers(crossings, curves, names, widths, moment.frame.images, moment.frame.rgb)
+        crossings = find_layers(crossings, curves, names, widths, frame.images, frame.rgb)
         for k, shape in enumerate(shapes):
             own = tuple(each for each in crossings if shape.name in each.slots)
             if own and shape.name in names:
@@ -264,37 +269,34 @@ class ShapeDetector:
         mask = search.whole_mask(rule) if rule.whole_image else None
         return self._hints.explained(region, rule, search.frame, mask, search.roi, self._frames)
 
-    def _find(self, followed: Tracker | Slots, search: RegionSearch | None, reason: str, moment: Moment) -> list[Shape]:
+    def _find(
+        self, followed: Tracker | Slots, search: RegionSearch, scene: Scene, timings: dict[str, float]
+    ) -> list[Shape]:
         """Find a shape, or several in one mask: near where the tracks expect them, and if that fails everywhere."""
-        now, frame, timings, spec = time.perf_counter(), moment.frame, moment.timings, followed.spec
-        if search is None:
-            return [tracker.finish(Fit(reason=reason), moment) for tracker in followed.trackers]
-        diagonal, rule = math.hypot(*moment.size), spec.segmentation
-        scene = Scene(search.whole, diagonal=diagonal)
-        if moment.in_3d and frame.camera is not None:
-            scene = Scene(search.whole, frame.depth, frame.camera.intrinsics, frame.images, diagonal)
+        now, spec = time.perf_counter(), followed.spec
+        rule = spec.segmentation
         while True:
             region = search.region(rule)  # image -> region
             if region.refusal:
                 region = self._explained(region, followed, search)
             elif search.mask is None:
-                self._hints.look_at(rule, frame)
+                self._hints.look_at(rule, scene.frame)
             now = _lap(timings, "segmentation" if search.mask is None else "region", now)
             if isinstance(followed, Slots):
-                tries = followed.attempt(region, moment, scene)
+                tries = followed.attempt(region, scene)
                 now = _lap(timings, "fit", now)
                 if all(each is not None and each.is_found for each in tries) or not search.widen(rule):
-                    shapes = followed.accept(tries, moment, scene)
+                    shapes = followed.accept(tries, scene)
                     break
                 continue
             observed: Observed = region
             if spec.lift == "cloud" and not (region.refusal and not followed.was_found):
                 observed = search.cloud(rule)  # depth enters: region -> cloud
                 now = _lap(timings, "cloud", now)
-            found = followed.fit(observed, moment, scene)  # -> form, matched and validated
+            found = followed.fit(observed, scene)  # -> form, matched and validated
             now = _lap(timings, "fit", now)
             if not found.reason or found.follow or not search.widen(rule):
-                shapes = [followed.finish(found, moment)]
+                shapes = [followed.finish(found, scene)]
                 break
         _lap(timings, "lift", now)
         return shapes

@@ -4,49 +4,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.clustering.base import Clusterer
 from shape_obs.config.detector_config import DetectorConfig
-from shape_obs.configurations.anchors import Anchors, anchor_pixel, anchor_point
-from shape_obs.configurations.base import Configuration, Scene
+from shape_obs.configurations.anchors import anchor_pixel, anchor_point
+from shape_obs.configurations.base import Configuration
 from shape_obs.configurations.shape_points import shape_of
-from shape_obs.frame import Frame
 from shape_obs.geometry.crossings import Crossing
 from shape_obs.geometry.observed import Observed
 from shape_obs.shape import Shape
-from shape_obs.tracking.clock import Clock
 from shape_obs.tracking.missing import lost_shape
 from shape_obs.tracking.predict import Fit, Prediction, Track, advance, predict
 from shape_obs.tracking.register_chain import direction
-from shape_obs.tracking.speed_gate import LARGER, WHOLE, Candidate, SpeedGate, View, is_as_large
+from shape_obs.tracking.scene import Scene
+from shape_obs.tracking.speed_gate import LARGER, WHOLE, Candidate, SpeedGate, is_as_large
 
 Array = npt.NDArray[np.float64]
-
-
-class Moment(NamedTuple):
-    """A frame on its way.
-
-    Args:
-        frame: The images.
-        clock: The time now.
-        anchors: Name -> pixel (u, v) or base-frame point (x, y, z).
-        timings: Milliseconds by stage.
-        in_2d: Whether points get pixels.
-        in_3d: Whether points get metres.
-        size: ``(H, W)`` in pixels; zeros for a cloud.
-    """
-
-    frame: Frame
-    clock: Clock
-    anchors: Anchors
-    timings: dict[str, float]
-    in_2d: bool
-    in_3d: bool
-    size: tuple[int, int] = (0, 0)
 
 
 class Tracker:
@@ -70,7 +46,7 @@ class Tracker:
         self._gate = SpeedGate(config.max_speed, spec.model)
         self._candidate: Candidate | None = None  # what is seen while the track finds nothing
         self._before, self._begun = self._candidate, -math.inf  # the same before this frame, and the frame's time
-        self._kind: tuple[type[Observed], tuple[int, int]] | None = None
+        self._kind: tuple[bool, tuple[int, int]] | None = None  # of the frames
         self._number = 0  # of the last track
         self._last: Shape | None = None
         self._seen_at = 0.0
@@ -82,25 +58,19 @@ class Tracker:
         """The tracker itself."""
         return (self,)
 
-    def expect(self, observed: Observed, moment: Moment) -> Prediction | None:
+    def expect(self, observed: Observed, scene: Scene) -> Prediction | None:
         """Return where the shape should be; None if it is unknown."""
-        kind = type(observed), moment.size
-        if self._kind is not None and self._kind != kind:
+        kind = scene.in_2d, scene.size
+        if self._kind != kind:
             # Pixels cannot be compared with metres, or with those of another size.
             self.track = self._last = self._candidate = None
-        self._kind = kind
-        return self.foresee(observed, moment)
-
-    def foresee(self, observed: Observed, moment: Moment) -> Prediction | None:
-        """Return where the track goes, whatever the shape was observed as; None without a track."""
+            self._kind = kind
         if self.track is None:
             return None
-        camera, now = moment.frame.camera if moment.in_3d else None, moment.clock.now
-        focal = 0.0 if camera is None else camera.intrinsics.fx
-        reach = self._gate.reach(self.track, now - self.track.stamp, focal, moment.size[1])
-        return predict(self.track, observed, now, self.spec.model, self._gone, reach)
+        reach = self._gate.reach(self.track, scene)
+        return predict(self.track, observed, scene.clock.now, self.spec.model, self._gone, reach)
 
-    def target(self, moment: Moment, *, again: bool = False) -> Array | None:
+    def target(self, scene: Scene, *, again: bool = False) -> Array | None:
         """Return where point 0 belongs if the shape is to be numbered in this frame; None if its place is free.
 
         Raises:
@@ -109,41 +79,34 @@ class Tracker:
         spec = self.spec
         if spec.anchor is None or not (again or self.track is None or self._gone or spec.order == "image"):
             return None
-        return (anchor_pixel if moment.in_2d else anchor_point)(spec, moment.anchors, moment.frame.camera)
+        return (anchor_pixel if scene.in_2d else anchor_point)(spec, scene.anchors, scene.frame.camera)
 
-    def fit(self, observed: Observed, moment: Moment, scene: Scene) -> Fit:
+    def fit(self, observed: Observed, scene: Scene) -> Fit:
         """Fit the shape to what was observed, and advance its track."""
-        prediction, target = self.expect(observed, moment), self.target(moment)
+        prediction, target = self.expect(observed, scene), self.target(scene)
         if observed.refusal:
             self._candidate = None
             return Fit(reason=observed.refusal)
         found = self.spec.fit(observed, prediction, target, scene)
-        return self.accept(found, observed, prediction, target, moment, scene, alone=True)
+        return self.accept(found, observed, prediction, target, scene, alone=True)
 
     def accept(
-        self,
-        found: Fit,
-        observed: Observed,
-        prediction: Prediction | None,
-        target: Array | None,
-        moment: Moment,
-        scene: Scene,
-        *,
+        self, found: Fit, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene, *,
         alone: bool = False,
-    ) -> Fit:
+    ) -> Fit:  # fmt: skip
         """Advance the track to a fit, unless it is another object's; number its points.
 
         If ``alone``, all that was observed may be the object, also if it is not where the track expects it.
         """
-        spec, now = self.spec, moment.clock.now
+        spec = self.spec
         if self.track is not None and prediction is not None:
-            found = self._checked(found, observed, prediction, moment, scene, alone and spec.is_ribbon)
+            found = self._checked(found, observed, prediction, scene, alone and spec.is_ribbon)
         if not found.reason or found.follow:
             track = None if found.new or self._gone else self.track
             self._gone, self._candidate = False, None
             self._number = self._number + 1 if track is None else track.track_id
             found = found._replace(track_id=self._number)
-            self.track = advance(track, found, observed, now, spec.model)
+            self.track = advance(track, found, observed, scene.clock.now, spec.model)
         if not found.reason:
             if spec.order == "image":
                 seen = observed.seen(found.form.points, target)
@@ -155,52 +118,46 @@ class Tracker:
         self._misplaced, self._seen_area = bool(found.reason) and self._is_misplaced(observed), observed.area
         return found
 
-    def _checked(
-        self, found: Fit, observed: Observed, expected: Prediction, moment: Moment, scene: Scene, alone: bool
-    ) -> Fit:
+    def _checked(self, found: Fit, observed: Observed, expected: Prediction, scene: Scene, alone: bool) -> Fit:
         """Return a fit if the object can be there; else what is seen instead, once it is believed, or why not."""
-        now, track = moment.clock.now, self.track
-        assert track is not None
+        now, track = scene.clock.now, expected.track
         if self._begun != now:  # a frame is looked at twice, in a window and as a whole
             self._begun, self._before = now, self._candidate
-        before, view = self._before, View(scene.images, scene.intrinsics, moment.size[1])
+        before = self._before
         if found.reason and found.size > LARGER * track.size:  # the fit lost its way, and the track would with it
             found = found._replace(follow=False)
         far = ""
         if not found.reason or found.follow:
-            on_path = before is not None and before.leads_to(found, observed, now, self._gate, view)
+            on_path = before is not None and before.leads_to(found, observed, self._gate, scene)
             seconds = (before.begun if before is not None and on_path else now) - track.stamp
             assert found.nodes is not None
-            far = self._gate.exceeded(found.nodes, track, expected, seconds, view)
+            far = self._gate.exceeded(found.nodes, expected, seconds, scene)
             if not far:
                 return found
             if expected.stale and not (before is not None and before.joined):
-                return self.spec.fit(observed, None, self.target(moment), scene)
+                return self.spec.fit(observed, None, self.target(scene), scene)
         elif not alone:
             return found
-        seen = self._candidate_in(found, observed, expected, moment, scene, view)
+        seen = self._candidate_in(found, observed, expected, scene)
         if before is None or self._candidate is None or not self._candidate.believed:
             return found._replace(reason=far or found.reason, follow=False)
         if self._candidate.joined:
             self.track, self._gone = before.track, False
             return seen
-        fresh = Fit() if before.own else self.spec.fit(observed, None, self.target(moment, again=True), scene)
+        fresh = Fit() if before.own else self.spec.fit(observed, None, self.target(scene, again=True), scene)
         return (seen if before.own or fresh.reason else fresh)._replace(new=True)
 
-    def _candidate_in(
-        self, found: Fit, observed: Observed, expected: Prediction, moment: Moment, scene: Scene, view: View
-    ) -> Fit:
+    def _candidate_in(self, found: Fit, observed: Observed, expected: Prediction, scene: Scene) -> Fit:
         """Follow the candidate, or begin another one with a fit that is out of reach, or cold; return its fit."""
-        spec, gate, now, before, track = self.spec, self._gate, moment.clock.now, self._before, self.track
-        assert track is not None
+        spec, gate, now, before, track = self.spec, self._gate, scene.clock.now, self._before, expected.track
         self._candidate = None
         if before is not None:
-            ahead = before.ahead(observed, now, spec.model)
+            ahead = predict(before.track, observed, now, spec.model)
             seen = spec.fit(observed, ahead, None, scene)._replace(track_id=track.track_id)
-            if before.leads_to(seen, observed, now, gate, view):
+            if before.leads_to(seen, observed, gate, scene):
                 self._candidate = before.continued(advance(before.track, seen, observed, now, spec.model))
                 if before.frames == 0:
-                    joins = before.joins and gate.joins(self._candidate, before.track.nodes, track, expected, view)
+                    joins = before.joins and gate.joins(self._candidate, before.track.nodes, expected, scene)
                     self._candidate = self._candidate._replace(joins=joins)
                 return seen
         own = False
@@ -211,8 +168,8 @@ class Tracker:
             found = spec.fit(observed, None, observed.seen(head, head)[0], scene)
             if found.reason or found.nodes is None or not is_as_large(found, track, now):
                 return found
-            own = direction(found.nodes, expected.last, expected.reach) <= 0
-            found = spec.fit(observed, None, self.target(moment, again=True), scene) if own else found
+            own = direction(found.nodes, track.nodes, expected.reach) <= 0
+            found = spec.fit(observed, None, self.target(scene, again=True), scene) if own else found
         begun = advance(None, found._replace(track_id=track.track_id), observed, now, spec.model)
         self._candidate = Candidate(begun, now, 0, 0 if before is None else before.refused + 1, not own, own)
         return found
@@ -236,22 +193,22 @@ class Tracker:
         """Whether the shape was found since the last reset."""
         return self._last is not None
 
-    def is_held(self, moment: Moment) -> bool:
+    def is_held(self, scene: Scene) -> bool:
         """Return whether the shape was found at most ``max_age`` seconds ago."""
-        return self._last is not None and moment.clock.now - self._seen_at <= self._config.max_age
+        return self._last is not None and scene.clock.now - self._seen_at <= self._config.max_age
 
-    def finish(self, found: Fit, moment: Moment) -> Shape:
+    def finish(self, found: Fit, scene: Scene) -> Shape:
         """Turn a form into ordered points, in space if there is depth; or apply the policy for a lost shape."""
-        spec, config, clock, last = self.spec, self._config, moment.clock, self._last
+        spec, config, clock, last = self.spec, self._config, scene.clock, self._last
         self.strand = None
         misplaced, self._misplaced = self._misplaced, False
-        diagonal = math.hypot(*moment.size)
+        diagonal = math.hypot(*scene.size)
         if not (reason := found.reason):  # depth enters: -> points
-            shape = shape_of(spec, found, moment.frame, last, config.on_invalid, diagonal)
+            shape = shape_of(spec, found, scene.frame, last, config.on_invalid, diagonal)
             if not (reason := shape.reason):
                 self._last, self._seen_at = shape, clock.now
                 self._area = self._seen_area * len(shape) / max(np.count_nonzero(shape.visible), 1)
-                if spec.is_ribbon and moment.in_2d:
+                if spec.is_ribbon and scene.in_2d:
                     points = found.form.points[::2]  # every half a width, which is fine enough to cross
                     points = points if points.shape[1] == 2 else shape.pixels.astype(np.float64)
                     self.strand = np.ascontiguousarray(points), found.width
@@ -265,6 +222,6 @@ class Tracker:
                 self.track = None
         return lost_shape(
             spec.name, spec.layout, reason=f"{reason}; {clock.warning}" if clock.warning else reason,
-            in_2d=moment.in_2d, in_3d=moment.in_3d, last=last, age=age, held=age <= config.max_age and not misplaced,
+            in_2d=scene.in_2d, in_3d=scene.in_3d, last=last, age=age, held=age <= config.max_age and not misplaced,
             policy=config.on_missing, diagonal=diagonal,
         )  # fmt: skip

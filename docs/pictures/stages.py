@@ -11,7 +11,6 @@ from sheet import grid, save, titled
 
 from shape_obs import Centerline, Configuration, Contour, HSVRange, ShapeDetector, Surface
 from shape_obs.bench.scenes import draw_rope
-from shape_obs.configurations.base import Scene
 from shape_obs.drawing import draw_curve, draw_detection
 from shape_obs.frame import Frame
 from shape_obs.geometry.curve import FittedCurve, FittedForm
@@ -23,6 +22,8 @@ from shape_obs.image.find_region import find_region
 from shape_obs.image.region import Region
 from shape_obs.image.roi import Whole
 from shape_obs.initialization.medial_axis import medial_axis
+from shape_obs.tracking.clock import Clock
+from shape_obs.tracking.scene import Scene
 
 IMAGES = Path(__file__).parent.parent / "images"
 SIZE = (240, 320)
@@ -84,7 +85,7 @@ def stages(spec: Configuration, mask: np.ndarray) -> np.ndarray:
     rule = RULES[spec.kind]
     window = Whole().window(SIZE)
     region = find_region(rule.apply(Frame(image, None, None, None), window), window, rule.min_area, rule.min_share)
-    found = spec.fit(region, None, None, Scene(window))
+    found = spec.fit(region, None, None, Scene(Frame(), Clock(), edge=window))
     assert found.nodes is not None
     assert found.topology is not None
     start = initial_form(spec, region, found.form)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,10 +11,10 @@ import numpy.typing as npt
 from shape_obs.camera import CameraModel
 from shape_obs.configurations.base import Configuration
 from shape_obs.spec import did_you_mean
+from shape_obs.tracking.scene import Anchors
 from shape_obs.utils.lengths import MOST
 
 Array = npt.NDArray[np.float64]
-Anchors = Mapping[str, Sequence[float]] | None
 
 
 def anchor_pixel(spec: Configuration, anchors: Anchors, camera: CameraModel | None) -> Array | None:

@@ -11,17 +11,15 @@ from typing import Any, ClassVar, Final, Literal, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import Intrinsics
-from shape_obs.frame import DepthImages, depth_images
 from shape_obs.geometry.observed import Observed, Samples
 from shape_obs.geometry.topology import Topology
 from shape_obs.image.region import Region
-from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.initialization.objects import SceneObject, find_components
 from shape_obs.spec import Spec, did_you_mean
 from shape_obs.tracking.model import MotionModel
 from shape_obs.tracking.predict import Fit, Prediction
+from shape_obs.tracking.scene import Scene
 from shape_obs.utils.lengths import warn_unless_metres
 
 #: Take the order of the points from the previous frame, or from the image alone.
@@ -37,41 +35,8 @@ Place = str | tuple[float, float] | tuple[float, float, float]
 Anchor: TypeAlias = Place | Mapping[str, Place] | None
 Count = int | Literal["all"] | None
 Array = npt.NDArray[np.float64]
-Own = tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], int, int, int]
-Around = tuple[DepthImages, tuple[int, int, int, int], tuple[float, float, float, float]]
 
 MOST_SLOTS: Final = 16
-
-
-class Scene(NamedTuple):
-    """What a frame shows around the object.
-
-    Args:
-        edge: The part of the image that may be searched: an object that touches its edge is cut. None without an image.
-        depth: ``(H, W)``, None if there is none: it shows what lies over the object.
-        intrinsics: Of the camera, None if there is none.
-        images: The depth as compiled code reads it; both empty if there is none.
-        diagonal: Of the image, pixels.
-    """
-
-    edge: Window | None = None
-    depth: npt.NDArray[Any] | None = None
-    intrinsics: Intrinsics | None = None
-    images: DepthImages = depth_images(None)
-    diagonal: float = 0.0
-
-    def around(self, region: Region) -> tuple[Own, Around]:
-        """Return what compiled stages take of a mask, and of the rest of the frame.
-
-        Returns:
-            Mask, runs, pieces, left, top; depth, the window of what is searched, the pinhole: zeros without a camera or
-            for one that is none.
-        """
-        (left, top, *_), camera, lens = region.window, self.intrinsics, (0.0, 0.0, 0.0, 0.0)
-        if camera is not None and camera.model == "pinhole":
-            lens = camera.fx, camera.fy, camera.cx, camera.cy
-        x, y, wide, high = self.edge or region.window
-        return (region.mask, region.runs, region.pieces, left, top), (self.images, (x, y, wide, high), lens)
 
 
 class Points(NamedTuple):

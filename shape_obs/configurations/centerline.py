@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.clustering.som import batch_epochs, run_som
-from shape_obs.configurations.base import Configuration, Ends, Points, Scene
+from shape_obs.configurations.base import Configuration, Ends, Points
 from shape_obs.configurations.chain_points import points_along
 from shape_obs.geometry.curve import FittedCurve, TrackHints, local_stretch
 from shape_obs.geometry.intersections import crossing_table
@@ -33,6 +33,7 @@ from shape_obs.tracking.model import ChainModel
 from shape_obs.tracking.occluders import UNKNOWN_TIPS
 from shape_obs.tracking.predict import Fit, Prediction
 from shape_obs.tracking.register_chain import Expected, direction
+from shape_obs.tracking.scene import Scene
 from shape_obs.tracking.state import State, new_rope, reversed_rope
 from shape_obs.tracking.step import step_chain_in_mask, step_measured_chain, visible_nodes
 from shape_obs.tracking.validation import sample_spread
@@ -101,7 +102,7 @@ class Centerline(Configuration, kind="centerline"):
     def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Fit a chain of nodes: from where the track expects it, else along an initial axis."""
         model = self.model
-        width = prediction.width if prediction is not None and prediction.width else observed.width
+        width = prediction.track.width if prediction is not None and prediction.track.width else observed.width
         reason = _rejection_reason(observed, width, model.min_aspect)
         if reason:
             return Fit(reason=reason)
@@ -112,7 +113,7 @@ class Centerline(Configuration, kind="centerline"):
             sigmas = model.sigmas_steady if prediction.steady else model.sigmas_changed
             found = self._step(observed, _NO_NODES, sigmas, width, model.max_hidden, prediction, scene)
             if (off := _innovation(found)) > model.max_size_change:
-                more = observed.area / max(prediction.size * width, 1e-9) if observed.dimension == 2 else 1.0
+                more = observed.area / max(prediction.track.size * width, 1e-9) if observed.dimension == 2 else 1.0
                 most = model.more_pixels
                 if more > most and math.isinf(off) and not prediction.stale:  # noise, or another object: be quick
                     return Fit(reason=f"the mask has {more:.2g} times as many pixels as the rope (at most {most:.2g})")
@@ -179,11 +180,10 @@ class Centerline(Configuration, kind="centerline"):
             points, flags, arc, False, metres if len(metres) else None, pixels if len(pixels) else None,
             log_depth if len(log_depth) else None, width if observed.dimension == 2 else 0.0, hints=TrackHints(state),
         )  # fmt: skip
-        topology = prediction.topology if prediction is not None else Chain(len(nodes))
+        topology = prediction.track.topology if prediction is not None else Chain(len(nodes))
         return Fit(
-            curve, float(state["quality"][0]), reason_of(state, observed.noun), nodes, topology, float(arc[-1]),
-            float(state["width"][0]), observed, width, bool(state["follow"][0]),
-            length=float(state["metres"][0]) or None, relief=deep if len(deep) else None,
+            curve, float(state["quality"][0]), reason_of(state, observed.noun), nodes, topology,
+            float(state["width"][0]), observed, width, bool(state["follow"][0]), relief=deep if len(deep) else None,
         )  # fmt: skip
 
     def _expected(self, prediction: Prediction | None, width: float) -> tuple[State, Expected, Array, Array, Array]:
@@ -191,12 +191,13 @@ class Centerline(Configuration, kind="centerline"):
         if prediction is None:
             expected = float(width), 1.0, 0.0, 0.0, math.inf, 0.0, math.inf, float(width)
             return new_rope(self.model, self.length or 0.0), expected, _NO_NODES, _NOTHING, _NO_NODES
+        track = prediction.track
         expected = (
             float(width), float(prediction.resolution), float(prediction.stale), float(prediction.motion),
-            float(prediction.seconds), float(prediction.lasted), float(prediction.reach), float(prediction.width),
+            float(prediction.seconds), float(prediction.lasted), float(prediction.reach), float(track.width),
         )  # fmt: skip
         relief = _NOTHING if prediction.relief is None else prediction.relief
-        return prediction.hints.rope, expected, prediction.nodes, relief, prediction.last
+        return track.hints.rope, expected, prediction.nodes, relief, track.nodes
 
     def apply_index_order(self, form: FittedCurve, seen: Array, target: Array | None) -> FittedCurve:
         """Return the curve with point 0 at the end nearest the target, else nearest the top left."""

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from shape_obs.clustering.som import batch_epochs, run_som
 from shape_obs.compiled import compiled
-from shape_obs.configurations.base import Configuration, Points, Scene
+from shape_obs.configurations.base import Configuration, Points
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.observed import Observed, Samples
 from shape_obs.geometry.outline import SAMPLED, clockwise, enclosed_by, material_outline
@@ -26,6 +26,7 @@ from shape_obs.tracking.model import RingModel
 from shape_obs.tracking.predict import Fit, Prediction
 from shape_obs.tracking.register_ring import begin_outline, follow_outline, match_outline, renumber_outline
 from shape_obs.tracking.register_ring_in_space import blend_space, index_shift_space
+from shape_obs.tracking.scene import Scene
 from shape_obs.tracking.step import step_ring_in_mask
 from shape_obs.tracking.validation import outline_miss, validate_outline
 
@@ -90,19 +91,19 @@ class Contour(Configuration, kind="contour"):
             if space is not None:
                 curve, nodes = _begun_at(curve, space, 0.0, topology.size, None)
         else:
-            topology = prediction.topology
+            topology = prediction.track.topology
             curve, nodes, miss = self._track(observed, prediction.nodes[0], prediction, scene)
             reason, quality = validate_outline(observed, miss, self.model)
-            if reason or abs(curve.arc[-1] / prediction.size - 1) > self.model.max_size_change:
+            if reason or abs(curve.arc[-1] / prediction.track.size - 1) > self.model.max_size_change:
                 outline = observed.outline_curve(self.hole)
                 start = match_outline(outline, prediction, self.model)[0].points[0]
                 curve, nodes, miss = self._track(observed, start, prediction, scene)
                 reason, quality = validate_outline(observed, miss, self.model)
-        return Fit(curve, quality, reason, nodes, topology, float(curve.arc[-1]), width, observed, width)
+        return Fit(curve, quality, reason, nodes, topology, width, observed, width)
 
     def _follow(self, region: Region, prediction: Prediction, scene: Scene) -> Fit | None:
         """Fit the outline of a region that looks as it did; None if that is to be looked at more closely."""
-        known, (own, around) = prediction.hints.reference, scene.around(region)
+        known, (own, around) = prediction.track.hints.reference, scene.around(region)
         if known is None:
             return None
         followed, curve, space, arc, nodes, known, turning, miss, width = step_ring_in_mask(
@@ -111,14 +112,14 @@ class Contour(Configuration, kind="contour"):
         )  # fmt: skip
         if not followed:
             return None
-        (reason, quality), size = validate_outline(region, miss, self.model), arc.item(len(arc) - 1)
-        if reason or abs(size / prediction.size - 1) > self.model.max_size_change:
+        reason, quality = validate_outline(region, miss, self.model)
+        if reason or abs(arc[-1] / prediction.track.size - 1) > self.model.max_size_change:
             return None
         form = FittedCurve(
             curve, np.zeros(len(curve), bool), arc, True, space=space if len(space) else None,
             hints=TrackHints(reference=known, turning=turning),
         )  # fmt: skip
-        return Fit(form, quality, "", nodes, prediction.topology, size, width, region, width)
+        return Fit(form, quality, "", nodes, prediction.track.topology, width, region, width)
 
     def _track(
         self, observed: Observed, start: Array, prediction: Prediction, scene: Scene
@@ -127,14 +128,15 @@ class Contour(Configuration, kind="contour"):
 
         With depth the curve is numbered by its form in space; where something lies over it, by what is seen of it.
         """
-        curve, miss = self._run_som(observed, start, prediction.topology)
+        curve, miss = self._run_som(observed, start, prediction.track.topology)
         space, cut = self._lift(observed, curve.points, scene)
         if not isinstance(observed, Region):
             return *match_outline(curve, prediction, self.model), miss
-        known = prediction.hints.reference
+        known = prediction.track.hints.reference
         in_space = known is not None and known.shape[1] == 3
         if in_space and space is None:  # numbered by its place in the image, if all of it is seen
-            found, nodes = match_outline(curve, prediction._replace(hints=TrackHints()), self.model)
+            forgotten = prediction._replace(track=prediction.track._replace(hints=TrackHints()))
+            found, nodes = match_outline(curve, forgotten, self.model)
             return replace(found, hints=TrackHints(reference=known)), nodes, np.inf if cut.any() else miss
         own, laid = space if in_space else None, known
         found, nodes = curve, prediction.nodes

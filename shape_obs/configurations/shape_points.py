@@ -61,10 +61,9 @@ def shape_of(
     if points3d is not None and known < len(valid):
         points3d = fill_invalid(points3d, valid, None if last is None else last.points3d, policy)
     quality = found.quality * (known / len(valid))
-    length = found.size if found.length is None and _is_metric_curve(found) else found.length
     return Shape(
-        spec.name, points2d, points3d, visible, valid, spec.layout, quality=quality, sigma=sigma, length=length,
-        reason=reason, track_id=found.track_id, new=last is None or last.track_id != found.track_id,
+        spec.name, points2d, points3d, visible, valid, spec.layout, quality=quality, sigma=sigma, reason=reason,
+        length=_length_of(found), track_id=found.track_id, new=last is None or last.track_id != found.track_id,
     )  # fmt: skip
 
 
@@ -92,9 +91,12 @@ def _doubt(
     return validate_gaps(points3d.astype(np.float64), valid, spec.layout, error, spec.model)
 
 
-def _is_metric_curve(found: Fit) -> bool:
-    """Return whether the size of a form is a length in metres."""
-    return found.observed.dimension == 3 and isinstance(found.form, FittedCurve)
+def _length_of(found: Fit) -> float | None:
+    """Return the length of a curve in metres, as its track remembers it; None if it is not known."""
+    rope = found.form.hints.rope
+    if rope is not None and rope["metres"][0] > 0:
+        return float(rope["metres"][0])
+    return found.size if found.observed.dimension == 3 and isinstance(found.form, FittedCurve) else None
 
 
 def _points_in_image(spec: Configuration, found: Fit, frame: Frame, diagonal: float) -> Seen:

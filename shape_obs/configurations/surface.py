@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.clustering.som import batch_epochs
-from shape_obs.configurations.base import Configuration, Ends, Points, Scene
+from shape_obs.configurations.base import Configuration, Ends, Points
 from shape_obs.configurations.sheet_map import moved_inside
 from shape_obs.geometry.coons import FINE, SIDE, beneath_fold, blend_sides, border_of, side_lengths
 from shape_obs.geometry.curve import TrackHints
@@ -42,6 +42,7 @@ from shape_obs.tracking.measure_lattice import (
 from shape_obs.tracking.model import LatticeModel
 from shape_obs.tracking.predict import Fit, Prediction
 from shape_obs.tracking.register_lattice import match_corners
+from shape_obs.tracking.scene import Scene
 from shape_obs.tracking.sheet_view import KnownSheet, SheetView, doubtful_places
 from shape_obs.tracking.validation import FitQuality, validate_sheet
 
@@ -158,7 +159,7 @@ class Surface(Configuration, kind="surface"):
             return Fit(reason=few if prediction is None else SHEET_WRONG[NO_CORNERS])
         predicted, before, sides, hints, lasted = _NO_NODES, _NO_NODES, _NO_SIDES, TrackHints(), 0.0
         if prediction is not None:
-            predicted, hints, lasted = prediction.nodes, prediction.hints, prediction.lasted
+            predicted, hints, lasted = prediction.nodes, prediction.track.hints, prediction.lasted
             before, sides = hints.reference, hints.sides
             if before is None or sides is None or before.shape[1] > view.space.shape[1]:
                 before, sides = predicted, side_lengths(border_of(predicted))
@@ -221,8 +222,7 @@ class Surface(Configuration, kind="surface"):
         form = FittedLattice(lattice, hidden, gauges, FINE, hints=hints)
         if self.epochs:
             form = form.with_points(form.points + moved_inside(form, view.region, self.epochs))
-        size, width = float(form.gauges[0][-1] + form.gauges[1][-1]), view.width
-        return Fit(form, verdict.quality, verdict.reason, form.points, _GRID, size, width, view.region, width)
+        return Fit(form, verdict.quality, verdict.reason, form.points, _GRID, view.width, view.region, view.width)
 
     def _fit_in_cloud(self, observed: Observed, prediction: Prediction | None) -> Fit:
         """Lay the patch over a sheet that is unrolled, between the corners nearest to the predicted ones."""
@@ -251,7 +251,7 @@ class Surface(Configuration, kind="surface"):
         measures = assess_lattice(flat.reshape(FINE, FINE, 2))
         kinked = math.degrees(kink)
         reason, quality = validate_sheet(off, measures, cloud.noun, kinked, stray, self.freedom, self.model)
-        return Fit(form, quality, reason, form.points, _GRID, form.size, 0.0, cloud, 0.0)
+        return Fit(form, quality, reason, form.points, _GRID, 0.0, cloud, 0.0)
 
     def _rejection_reason(self, observed: Observed, width: float, tracked: bool) -> str:
         """Return why an object cannot be a sheet: a speck, a ribbon, pieces, corners out of sight, or no outline."""

@@ -9,13 +9,12 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.configurations.base import Scene
 from shape_obs.geometry.observed import Observed
 from shape_obs.image.region import Region
 from shape_obs.image.sharing import CLOSE, share
-from shape_obs.tracker import Moment
 from shape_obs.tracking.exchanges import exchange_gain
 from shape_obs.tracking.predict import Fit, Prediction, Track, length_in_image
+from shape_obs.tracking.scene import Scene
 from shape_obs.tracking.scene_doubt import (
     changed_sides,
     claims_the_same,
@@ -57,7 +56,6 @@ class Seen(NamedTuple):
     """
 
     region: Region
-    moment: Moment
     scene: Scene
     tracks: list[Track | None]
     expected: list[Prediction | None]
@@ -85,10 +83,10 @@ def doubt_of(seen: Seen, tries: list[Attempt | None], *, apart: bool = False) ->
         if track is not None and each is not None and not each.is_found
     )
     bent = grown = 0.0
-    for track, ahead, each in zip(seen.tracks, seen.expected, tries, strict=True):
+    for track, each in zip(seen.tracks, tries, strict=True):
         if each is not None and each.found.nodes is not None and track is not None and each.is_found:
             bent += more_bent(each.found.nodes, track.nodes, each.found.object_width)
-            size = (each.found.form.points.shape[1] == 2 and length_in_image(ahead)) or track.size
+            size = (each.found.form.points.shape[1] == 2 and length_in_image(track)) or track.size
             grown += max(abs(each.found.size - size) / each.found.object_width - _STEADY, 0.0)
     if not apart:
         strands = [(found.form, found.object_width) for found in forms if found.form.points.shape[1] == 2]

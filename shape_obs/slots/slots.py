@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.config.detector_config import DetectorConfig
-from shape_obs.configurations.base import Configuration, Scene
+from shape_obs.configurations.base import Configuration
 from shape_obs.geometry.polyline import catmull_rom
 from shape_obs.image.connected_runs import draw_components
 from shape_obs.image.pieces import component_parts, split_components
@@ -31,9 +31,10 @@ from shape_obs.slots.attempts import (
     price_of,
 )  # fmt: skip
 from shape_obs.slots.passages import Lying, Passages, better, change_of_headings, lying_of, moved
-from shape_obs.tracker import Moment, Tracker
+from shape_obs.tracker import Tracker
 from shape_obs.tracking.exchanges import meetings
 from shape_obs.tracking.predict import Fit, length_in_image
+from shape_obs.tracking.scene import Scene
 from shape_obs.tracking.scene_doubt import bending_energy, nearest_distances, sharp_turns, side_distances
 from shape_obs.tracking.seats import add_pieces, near_tracks, seat_others, seat_tracked
 from shape_obs.tracking.state import LENGTH
@@ -74,7 +75,7 @@ class Slots:
         self._wait, self._doubt_before, self._bared = 0, 0.0, False
         self._passages, self._lying = Passages(), list[Lying | None]()
 
-    def attempt(self, region: Region, moment: Moment, scene: Scene) -> list[Attempt | None]:
+    def attempt(self, region: Region, scene: Scene) -> list[Attempt | None]:
         """Fit each slot to its part of a mask; None for a slot without one.
 
         The tracks stay as they are, unless two of them turn out to have been exchanged.
@@ -84,7 +85,7 @@ class Slots:
             return [Attempt(Fit(reason=region.refusal), region, None)] * len(self.trackers)
         if self._bared:  # there were connectors
             region, self._bared = self.spec.bare(region)
-        seen = self._seen(region, moment, scene)
+        seen = self._seen(region, scene)
         if not self.spec.is_ribbon or not any(seen.expected):
             return self._search(seen, [None] * len(self.trackers))
         tries, met = self._follow(seen, seen.ahead, EXPECTED)
@@ -106,7 +107,7 @@ class Slots:
                 self._wait = _PATIENCE
         return self._exchanged(seen, tries, doubt, met)
 
-    def accept(self, tries: list[Attempt | None], moment: Moment, scene: Scene) -> list[Shape]:
+    def accept(self, tries: list[Attempt | None], scene: Scene) -> list[Shape]:
         """Advance the tracks to what was found, and return the shape of each slot.
 
         With ``count="all"`` slots that hold nothing are left out.
@@ -116,20 +117,17 @@ class Slots:
             self._passages.add(self._lying, median(widths))
         shapes = []
         for tracker, each in zip(self.trackers, tries, strict=True):
-            if each is None:
-                found = Fit(reason=_NOTHING)
-            else:
-                found = tracker.accept(*each, tracker.target(moment), moment, scene)
-            if each is not None or tracker.is_held(moment) or self.spec.count != "all":
-                shapes.append(tracker.finish(found, moment))
+            found = Fit(reason=_NOTHING) if each is None else tracker.accept(*each, tracker.target(scene), scene)
+            if each is not None or tracker.is_held(scene) or self.spec.count != "all":
+                shapes.append(tracker.finish(found, scene))
         return shapes
 
-    def _seen(self, region: Region, moment: Moment, scene: Scene) -> Seen:
+    def _seen(self, region: Region, scene: Scene) -> Seen:
         """Return a frame, with where the tracks are and go."""
-        expected = [tracker.foresee(region, moment) for tracker in self.trackers]
+        expected = [tracker.expect(region, scene) for tracker in self.trackers]
         tracks = [tracker.track for tracker in self.trackers]
         ahead, last = ([each and in_image(each.nodes, scene) for each in row] for row in (expected, tracks))
-        return Seen(region, moment, scene, tracks, expected, ahead, last)
+        return Seen(region, scene, tracks, expected, ahead, last)
 
     def _exchanged(self, seen: Seen, tries: list[Attempt | None], doubt: float, met: list[int]) -> list[Attempt | None]:
         """Return better fits, with tracks exchanged, if ropes have changed places where they lay over each other."""
@@ -140,7 +138,7 @@ class Slots:
             for tracker, own, other, lay in zip(trackers, tracks, tracks[::-1], before, strict=True):
                 if own is not None and other is not None and lay is not None:
                     tracker.track = moved(own, other, lay)
-            now = self._seen(seen.region, seen.moment, seen.scene)
+            now = self._seen(seen.region, seen.scene)
             again, meet = self._follow(now, now.ahead, EXPECTED)
             ways = [again, self._search(now, again)]
             doubts = [doubt_of(now, each, apart=not meet) for each in ways]
@@ -162,7 +160,7 @@ class Slots:
             if each is not None and at is not None:
                 known.append(k)
                 curves.append(_from_tip_to_tip(at))
-                widths.append(each.width or seen.region.width)
+                widths.append(each.track.width or seen.region.width)
         if not known:
             return tries, []
         floor = self.spec.segmentation or Segmentation
@@ -191,10 +189,10 @@ class Slots:
         """Find all objects of the mask, and fit each slot to its own."""
         tries, (region, bared) = list(earlier), self.spec.bare(seen.region)
         self._bared |= bared  # what has none any more had some before
-        every, reason = self.spec.find_objects(region, seen.moment.frame.rgb)
+        every, reason = self.spec.find_objects(region, seen.scene.frame.rgb)
         objects = every[:MOST]  # the largest: pixels are shared among no more
         width = median(each.width for each in objects) if objects else 0.0
-        far = _FAR * math.hypot(*seen.moment.size)
+        far = _FAR * math.hypot(*seen.scene.size)
         # What was lost for long may be anywhere, but so may be what has come instead.
         reach = [
             0.0 if each is None else _KEPT * width if each.stale else far * min(each.lapse, _LAPSE)
@@ -203,7 +201,7 @@ class Slots:
         lengths = [length_in_image(track) or math.inf for track in seen.tracks]
         seats = seat_tracked(objects, seen.ahead, reach, lengths)
         free = [k for k, each in enumerate(seen.expected) if each is None or each.stale]
-        targets = [tracker.target(seen.moment) for tracker in self.trackers]
+        targets = [tracker.target(seen.scene) for tracker in self.trackers]
         kept = near_tracks(objects, seen.ahead, _KEPT * width) if objects else ()
         seats = seat_others(
             objects, seats, targets, sorted(free, key=lambda k: self.trackers[k].track is not None), kept
@@ -238,11 +236,11 @@ class Slots:
             assert scene.depth is not None
             assert scene.intrinsics is not None
             observed = deproject(part, scene.depth, scene.intrinsics)
-        prediction = tracker.expect(observed, seen.moment)
+        prediction = tracker.expect(observed, seen.scene)
         if part.refusal:
             return Attempt(Fit(reason=part.refusal), observed, prediction)
-        found = tracker.spec.fit(observed, prediction, tracker.target(seen.moment), scene)
-        known = None if prediction is None else prediction.hints.rope
+        found = tracker.spec.fit(observed, prediction, tracker.target(seen.scene), scene)
+        known = None if prediction is None else prediction.track.hints.rope
         if meets and known is not None and known["frames"][0] > 0 and found.form is not None:
             rope = found.form.hints.rope.copy()
             rope[LENGTH] = known[LENGTH]

@@ -23,8 +23,8 @@ from shape_obs.tracking.register_lattice import FITS, assign_corners, compare_sh
 from shape_obs.tracking.sheet_view import SheetView, doubtful_places, learn_sheet
 
 if TYPE_CHECKING:
-    from shape_obs.configurations.base import Scene
     from shape_obs.image.region import Region
+    from shape_obs.tracking.scene import Scene
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]

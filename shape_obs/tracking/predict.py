@@ -31,13 +31,11 @@ class Fit(NamedTuple):
         reason: Why it was refused; empty if it was not.
         nodes: ``(K, D)`` the map's nodes on the form, for the track.
         topology: How the nodes are connected.
-        size: Of the form, which must not jump from frame to frame.
         width: Of the object, for the next frame; 0 if it is not known beforehand.
         observed: What the form was fitted to.
         object_width: The width of the object that the fit assumed.
         follow: Whether the track goes on with a form that was refused: it may still show where the object is.
         centres: ``(N, D)`` the shape's points in order if a clusterer found them; None if the form gives them.
-        length: Of the object, metres, hidden pieces included; None if it is not known.
         new: Whether the numbering begins again, though there was a track: the object is another one.
         track_id: The number of the track that the form belongs to.
         relief: ``(K,)`` depth at the nodes of a chain in an image, see ``FittedCurve.relief``; None without depth.
@@ -48,16 +46,19 @@ class Fit(NamedTuple):
     reason: str = ""
     nodes: Array | None = None
     topology: Topology | None = None
-    size: float = 0.0
     width: float = 0.0
     observed: Any = None
     object_width: float = 0.0
     follow: bool = False
     centres: Array | None = None
-    length: float | None = None
     new: bool = False
     track_id: int = 0
     relief: Array | None = None
+
+    @property
+    def size(self) -> float:
+        """The size of the form, which must not jump from frame to frame; 0 without one."""
+        return 0.0 if self.form is None else self.form.size
 
 
 class Track(NamedTuple):
@@ -100,78 +101,65 @@ class Prediction(NamedTuple):
     """Where a shape should be.
 
     Args:
-        nodes: ``(K, D)``.
-        size: Of the form.
-        topology: How the nodes are connected.
-        hints: What the last form passed on in addition to its nodes.
+        track: Where it was, and all that is known of it.
+        nodes: ``(K, D)`` where they should be.
+        relief: ``(K,)`` depth at the nodes in an image, see ``FittedCurve.relief``; None without depth.
+        motion: How far the nodes are expected to have moved, RMS.
+        seconds: Since the track saw the shape.
+        lasted: For how many of them this frame counts in what is learnt.
         resolution: Of the observation: nothing smaller can be distinguished from noise.
-        width: Of the object as a ribbon; 0 if it is not known.
         steady: Whether all of the object was seen and is: what comes to light, or under a hand, changes its area first.
         stale: Whether the shape was lost for so long that its numbering begins again.
-        relief: ``(K,)`` depth at the nodes in an image, see ``FittedCurve.relief``; None without depth.
-        lapse: How long ago the object was seen last, in intervals of the track, at least 1.
-        motion: How far the nodes are expected to have moved, RMS.
-        last: ``(K, D)`` where the nodes were; empty if that is not known.
-        seconds: Since then.
-        lasted: For how many of them this frame counts in what is learnt.
-        reach: How far they can have moved since; infinity without a limit.
+        reach: How far the nodes can have moved; infinity without a limit.
     """
 
+    track: Track
     nodes: Array
-    size: float
-    topology: Topology
-    hints: TrackHints
+    relief: Array | None
+    motion: float
+    seconds: float
+    lasted: float
     resolution: float
-    width: float
     steady: bool
     stale: bool = False
-    relief: Array | None = None
-    lapse: float = 1.0
-    motion: float = 0.0
-    last: Array = np.empty((0, 2))
-    seconds: float = math.inf
-    lasted: float = 0.0
     reach: float = math.inf
+
+    @property
+    def lapse(self) -> float:
+        """How long ago the object was seen last, in intervals of the track, at least 1."""
+        return max(self.seconds / self.track.interval, 1.0) if self.track.interval > 0 else 1.0
 
     @property
     def reference(self) -> Array:
         """``(K, D)`` nodes of the past that a closed curve is numbered by."""
-        return self.nodes if self.hints.reference is None else self.hints.reference
+        return self.nodes if self.track.hints.reference is None else self.track.hints.reference
 
 
-def length_in_image(known: Track | Prediction | None) -> float:
+def length_in_image(track: Track | None) -> float:
     """Return the length in the image of a rope of which all was seen, pixels; 0 if it is not known."""
-    rope = None if known is None else known.hints.rope
+    rope = None if track is None else track.hints.rope
     return 0.0 if rope is None or not rope["frames"][0] else float(rope["pixels"][0])
 
 
 def predict(
-    track: Track | None,
-    observed: Observed,
-    stamp: float,
-    model: MotionModel,
-    stale: bool = False,
-    reach: float = math.inf,
-) -> Prediction | None:
-    """Predict the nodes at ``stamp``: they go on with most of their velocity; None without a track.
+    track: Track, observed: Observed, now: float, model: MotionModel, stale: bool = False, reach: float = math.inf
+) -> Prediction:
+    """Predict the nodes: they go on with most of their velocity.
 
     A velocity lasts for as long as it was seen, so that a shape that was lost is searched near its last place.
     ``stale`` and ``reach`` are those of the prediction.
     """
-    if track is None:
-        return None
-    since, relief, climb = stamp - track.stamp, track.relief, track.climb
+    since, relief, climb = now - track.stamp, track.relief, track.climb
     rising = (_NOTHING, _NOTHING) if relief is None or climb is None else (relief, climb)
     ahead = model.velocity_share * min(max(since, 0.0), track.interval)
     nodes, deep, motion = extrapolated(track.nodes, track.velocity, *rising, ahead)
     steady = abs(observed.area - track.area) <= model.steady * track.area
-    known = track.size, track.topology, track.hints, observed.resolution, track.width
-    lapse = max(since / track.interval, 1.0) if track.interval > 0 else 1.0
     deep = relief if climb is None else deep
-    return Prediction(nodes, *known, steady, stale, deep, lapse, motion, track.nodes, since, model.lasted(since), reach)
+    lasted = model.lasted(since)
+    return Prediction(track, nodes, deep, motion, since, lasted, observed.resolution, steady, stale, reach)
 
 
-def advance(track: Track | None, found: Fit, observed: Observed, stamp: float, model: MotionModel) -> Track:
+def advance(track: Track | None, found: Fit, observed: Observed, now: float, model: MotionModel) -> Track:
     """Return the track after a frame in which a form was found.
 
     Widths change slowly: what hides a piece that is not known to be hidden makes the rest no thinner. And they do not
@@ -182,8 +170,8 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float, m
     assert nodes is not None
     assert topology is not None
     if track is not None and track.width and width:
-        width = track.width * (1 + _believed(width / track.width - 1, stamp - track.stamp, model))
-    interval = 0.0 if track is None else stamp - track.stamp
+        width = track.width * (1 + _believed(width / track.width - 1, now - track.stamp, model))
+    interval = 0.0 if track is None else now - track.stamp
     if track is not None and interval > _LEAST_INTERVAL:
         relief = (_NOTHING, _NOTHING) if found.relief is None or track.relief is None else (found.relief, track.relief)
         turning = 1.0 if form.hints.turning is None else form.hints.turning / model.velocity_share
@@ -194,7 +182,7 @@ def advance(track: Track | None, found: Fit, observed: Observed, stamp: float, m
     area = 0 if np.count_nonzero(form.interpolated) else observed.area
     drift = 0 if track is None or track.box is None or box is None else _drift(track.box, box)
     return Track(
-        nodes, velocity, max(interval, 0.0), found.size, stamp, topology, form.hints, width, box, drift, area,
+        nodes, velocity, max(interval, 0.0), found.size, now, topology, form.hints, width, box, drift, area,
         found.track_id, found.relief, climb,
     )  # fmt: skip
 

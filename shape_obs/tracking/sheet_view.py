@@ -147,7 +147,7 @@ class KnownSheet:
     @classmethod
     def of(cls, prediction: Prediction, view: SheetView) -> KnownSheet:
         """Return what a track knows, in metres if it does and this frame can be compared with that."""
-        expected, hints = border_of(prediction.nodes), prediction.hints
+        expected, hints = border_of(prediction.nodes), prediction.track.hints
         if hints.reference is None or hints.sides is None or (hints.reference.shape[1] == 3 and view.camera is None):
             return cls(expected, prediction.nodes, side_lengths(expected), hints, prediction.lasted, view.model)
         return cls(expected, hints.reference, hints.sides, hints, prediction.lasted, view.model)

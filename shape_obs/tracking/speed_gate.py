@@ -13,13 +13,13 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import Intrinsics
 from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages
 from shape_obs.geometry.observed import Observed
 from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.tracking.model import MotionModel
 from shape_obs.tracking.predict import Fit, Prediction, Track, extrapolated, predict, rates
+from shape_obs.tracking.scene import Scene
 
 Array = npt.NDArray[np.float64]
 
@@ -31,20 +31,6 @@ _LONGEST: Final = 10  # frames in which an object in plain sight is refused, at 
 WHOLE: Final = 0.94
 _FALLING: Final = 0.03
 LARGER: Final = 2.0  # times: what is so much larger is not the object
-
-
-class View(NamedTuple):
-    """How distances in a frame become metres or shares of an image.
-
-    Args:
-        depth: The frame's depth, see ``frame.depth_images``.
-        camera: Its intrinsics; None without depth.
-        width: Of the image, pixels.
-    """
-
-    depth: DepthImages
-    camera: Intrinsics | None
-    width: int
 
 
 class Candidate(NamedTuple):
@@ -70,18 +56,12 @@ class Candidate(NamedTuple):
         """Return the candidate after another frame of its path."""
         return self._replace(track=track, frames=self.frames + 1, refused=self.refused + 1)
 
-    def ahead(self, observed: Observed, now: float, model: MotionModel) -> Prediction:
-        """Return where its motion takes it."""
-        prediction = predict(self.track, observed, now, model)
-        assert prediction is not None
-        return prediction
-
-    def leads_to(self, found: Fit, observed: Observed, now: float, gate: SpeedGate, view: View) -> bool:
+    def leads_to(self, found: Fit, observed: Observed, gate: SpeedGate, scene: Scene) -> bool:
         """Return whether a fit continues its path."""
         if found.nodes is None or (found.reason and not found.follow):
             return False
-        seconds = now - self.track.stamp
-        return not gate.exceeded(found.nodes, self.track, self.ahead(observed, now, gate.model), seconds, view)
+        ahead = predict(self.track, observed, scene.clock.now, gate.model)
+        return not gate.exceeded(found.nodes, ahead, ahead.seconds, scene)
 
     @property
     def believed(self) -> bool:
@@ -115,25 +95,25 @@ class SpeedGate:
         self._max_speed = math.inf if max_speed is None else max_speed
         self.model = model
 
-    def exceeded(self, nodes: Array, track: Track, ahead: Prediction, seconds: float, view: View) -> str:
+    def exceeded(self, nodes: Array, ahead: Prediction, seconds: float, scene: Scene) -> str:
         """Return why nodes ``(K, D)`` are another object's than the one that was tracked; empty if they are not.
 
         Args:
             nodes: Of what was found.
-            track: Where the object was.
-            ahead: Where its motion takes it.
+            ahead: Where the object was, and where its motion takes it.
             seconds: For which it can have moved.
-            view: The frame's.
+            scene: The frame.
         """
-        if math.isinf(self._max_speed) or nodes.shape[1] != track.nodes.shape[1]:
+        before = ahead.track.nodes
+        if math.isinf(self._max_speed) or nodes.shape[1] != before.shape[1]:
             return ""
-        moved, most, scale, unit = self._compared(nodes, track.nodes, seconds, view)
-        if moved <= most or self._compared(nodes, ahead.nodes, seconds, view)[0] <= most:
+        moved, most, scale, unit = self._compared(nodes, before, seconds, scene)
+        if moved <= most or self._compared(nodes, ahead.nodes, seconds, scene)[0] <= most:
             return ""
         moved, most = moved * scale, most * scale
         return f"it lies {moved:.3g} {unit} from where the shape was (at most {most:.3g} after {seconds:.2g} s)"
 
-    def joins(self, candidate: Candidate, first: Array, track: Track, ahead: Prediction, view: View) -> bool:
+    def joins(self, candidate: Candidate, first: Array, ahead: Prediction, scene: Scene) -> bool:
         """Return whether a candidate's path could have joined the object's track.
 
         What the candidate's motion explains is left out: something that stands still elsewhere has not come from here.
@@ -141,32 +121,33 @@ class SpeedGate:
         Args:
             candidate: Seen twice, so that its velocity is known.
             first: ``(K, D)`` its nodes when it was first seen.
-            track: The object's.
-            ahead: Where its motion takes it.
-            view: The frame's.
+            ahead: Where the object was, and where its motion takes it.
+            scene: The frame.
         """
-        seconds, velocity = candidate.begun - track.stamp, candidate.track.velocity
+        seconds, velocity = candidate.begun - ahead.track.stamp, candidate.track.velocity
         before = first - min(seconds, candidate.track.interval) * velocity
-        return not self.exceeded(np.ascontiguousarray(before), track, ahead, seconds, view)
+        return not self.exceeded(np.ascontiguousarray(before), ahead, seconds, scene)
 
-    def reach(self, track: Track, seconds: float, focal: float, width: int) -> float:
-        """Return how far an object can have moved in some seconds, in the unit of its track; infinity if unknown."""
+    def reach(self, track: Track, scene: Scene) -> float:
+        """Return how far an object can have moved, in the unit of its track; infinity if unknown."""
+        most = self._max_speed * (scene.clock.now - track.stamp)
         if track.nodes.shape[1] == 3:
-            return self._max_speed * seconds
-        if focal <= 0:
-            return self._max_speed * seconds * width
+            return most
+        if scene.intrinsics is None:
+            return most * scene.size[1]
         if (deep := track.relief) is None:
             return math.inf
-        return self._max_speed * seconds * focal / math.exp(deep.item(len(deep) // 2) / focal)  # as deep as its middle
+        focal = scene.intrinsics.fx
+        return most * focal / math.exp(deep.item(len(deep) // 2) / focal)  # as deep as its middle
 
-    def _compared(self, nodes: Array, before: Array, seconds: float, view: View) -> tuple[float, float, float, str]:
+    def _compared(self, nodes: Array, before: Array, seconds: float, scene: Scene) -> tuple[float, float, float, str]:
         """Return how far nodes have moved and can have, in their unit, and this unit in pixels or metres, and which."""
-        moved, away = typical_motion(nodes, before, view.depth)
+        moved, away = typical_motion(nodes, before, scene.images)
         most, scale, unit = self._max_speed * seconds, 1.0, "m"
-        if nodes.shape[1] == 2 and view.camera is not None and away > 0:
-            scale = away / view.camera.fx
+        if nodes.shape[1] == 2 and scene.intrinsics is not None and away > 0:
+            scale = away / scene.intrinsics.fx
         elif nodes.shape[1] == 2:
-            most, unit = most * view.width, "px"
+            most, unit = most * scene.size[1], "px"
         return moved, most / scale, scale, unit
 
 

@@ -8,12 +8,15 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.configurations.base import Configuration, Scene
+from shape_obs.configurations.base import Configuration
 from shape_obs.drawing import Image, draw_curve, draw_over, draw_text, enlarged, mark_size, wrapped
+from shape_obs.frame import Frame
 from shape_obs.geometry.observed import Samples
 from shape_obs.image.region import Region
 from shape_obs.image.roi import ROI, Whole
+from shape_obs.tracking.clock import Clock
 from shape_obs.tracking.predict import Fit
+from shape_obs.tracking.scene import Scene
 from shape_obs.tuner.result import Result
 
 #: Names of the stages, with what each picture shows.
@@ -102,7 +105,7 @@ def stage_picture(result: Result, stage: str) -> Image:
     if stage == "samples":
         _draw_samples(drawn, region.gather(max(region.width / 3, 1.0)), scale)
         return drawn
-    found = spec.fit(region, None, None, Scene(result.roi.window(result.size)))
+    found = spec.fit(region, None, None, Scene(Frame(), Clock(), edge=result.roi.window(result.size)))
     if found.nodes is None or found.topology is None:
         return _blank(picture, found.reason or "no form was found")
     _draw_nodes(drawn, found, spec, scale)

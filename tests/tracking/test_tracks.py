@@ -39,7 +39,7 @@ def observation(box: Window | None = None, area: int = 800, resolution: float = 
 
 
 def found(form: FittedCurve, nodes: np.ndarray = NODES, width: float = 8.0) -> Fit:
-    return Fit(form, 1.0, nodes=nodes, topology=Chain(9), size=form.size, width=width)
+    return Fit(form, 1.0, nodes=nodes, topology=Chain(9), width=width)
 
 
 def first(stamp: float = 0.0, **change) -> Track:
@@ -51,9 +51,7 @@ def after(track: Track, shift: float, stamp: float, width: float = 8.0, box: Win
 
 
 def predicted(track: Track, stamp: float, **seen: Any) -> Prediction:
-    prediction = predict(track, observation(**seen), stamp, MODEL)
-    assert prediction is not None
-    return prediction
+    return predict(track, observation(**seen), stamp, MODEL)
 
 
 class TestPrediction:

@@ -1,0 +1,61 @@
+"""What a frame shows around the objects: its images, its time, and the part of it that is searched."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.camera import Intrinsics
+from shape_obs.frame import DepthImages, Frame, depth_images
+from shape_obs.image.region import Region
+from shape_obs.image.roi import Window
+from shape_obs.tracking.clock import Clock
+
+#: Name -> pixel (u, v) or base-frame point (x, y, z), metres.
+Anchors = Mapping[str, Sequence[float]] | None
+Own = tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], int, int, int]
+Around = tuple[DepthImages, tuple[int, int, int, int], tuple[float, float, float, float]]
+
+
+class Scene(NamedTuple):
+    """A frame as all shapes see it.
+
+    Args:
+        frame: The images.
+        clock: The time now.
+        anchors: Where named anchors are.
+        in_2d: Whether points get pixels.
+        in_3d: Whether points get metres.
+        size: ``(H, W)`` in pixels; zeros for a cloud.
+        edge: The part of the image that may be searched: an object that touches its edge is cut. None for a cloud.
+        depth: ``(H, W)``, None if there is none: it shows what lies over an object.
+        intrinsics: Of the camera, None without depth.
+        images: The depth as compiled code reads it; both empty if there is none.
+    """
+
+    frame: Frame
+    clock: Clock
+    anchors: Anchors = None
+    in_2d: bool = True
+    in_3d: bool = False
+    size: tuple[int, int] = (0, 0)
+    edge: Window | None = None
+    depth: npt.NDArray[Any] | None = None
+    intrinsics: Intrinsics | None = None
+    images: DepthImages = depth_images(None)
+
+    def around(self, region: Region) -> tuple[Own, Around]:
+        """Return what compiled stages take of a mask, and of the rest of the frame.
+
+        Returns:
+            Mask, runs, pieces, left, top; depth, the window of what is searched, the pinhole: zeros without a camera or
+            for one that is none.
+        """
+        (left, top, *_), camera, lens = region.window, self.intrinsics, (0.0, 0.0, 0.0, 0.0)
+        if camera is not None and camera.model == "pinhole":
+            lens = camera.fx, camera.fy, camera.cx, camera.cy
+        x, y, wide, high = self.edge or region.window
+        return (region.mask, region.runs, region.pieces, left, top), (self.images, (x, y, wide, high), lens)
