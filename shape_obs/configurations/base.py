@@ -37,6 +37,7 @@ Count = int | Literal["all"] | None
 Array = npt.NDArray[np.float64]
 
 MOST_SLOTS: Final = 16
+_UNKNOWN: Final = np.zeros(0)
 
 
 class Points(NamedTuple):
@@ -46,17 +47,17 @@ class Points(NamedTuple):
         places: ``(N, D)`` pixels or metres.
         interpolated: ``(N,)`` bool: on an interpolated piece of the form.
         nearest: ``(N,)`` which of the form's own points is nearest along it, where it may cross itself; else None.
-        relief: ``(N,)`` the form's relief there, see ``FittedCurve.relief``; None if it has none.
-        steep: ``(N,)`` how much longer the form is there in space than in the image; None if it has no relief.
-        off: ``(N,)`` metres by which points of a sheet may be off their material, see ``Isometry``; None without it.
+        log_depth: ``(N,)`` of the form there, see ``FittedCurve.log_depth``; ``(0,)`` if it is not known.
+        steep: ``(N,)`` how much longer the form is there in space than in the image; ``(0,)`` without its log-depth.
+        off: ``(N,)`` metres by which points of a sheet may be off their material; ``(0,)`` if that is not measured.
     """
 
     places: Array
     interpolated: npt.NDArray[np.bool_]
     nearest: npt.NDArray[np.intp] | None = None
-    relief: Array | None = None
-    steep: Array | None = None
-    off: Array | None = None
+    log_depth: Array = _UNKNOWN
+    steep: Array = _UNKNOWN
+    off: Array = _UNKNOWN
 
 
 _MODULES = {kind: f"shape_obs.configurations.{kind}" for kind in ("centerline", "contour", "surface")}

@@ -128,8 +128,8 @@ class Centerline(Configuration, kind="centerline"):
             numbered = self.apply_index_order(curve, observed.seen(curve.points, target), target)
             if numbered is not curve:
                 assert found.nodes is not None
-                back = found.nodes[::-1].copy(), None if found.relief is None else found.relief[::-1].copy()
-                found = found._replace(form=numbered, nodes=back[0], relief=back[1])
+                nodes, log_depth = found.nodes[::-1].copy(), found.log_depth[::-1].copy()
+                found = found._replace(form=numbered, nodes=nodes, log_depth=log_depth)
         return found
 
     def _fit_initial(self, observed: Observed, prediction: Prediction | None, scene: Scene) -> Fit:
@@ -177,13 +177,13 @@ class Centerline(Configuration, kind="centerline"):
             )  # fmt: skip
         state, nodes, deep, points, flags, arc, metres, pixels, log_depth = stepped
         curve = FittedCurve(
-            points, flags, arc, False, metres if len(metres) else None, pixels if len(pixels) else None,
-            log_depth if len(log_depth) else None, width if observed.dimension == 2 else 0.0, hints=TrackHints(state),
+            points, flags, arc, False, metres, pixels, log_depth, width if observed.dimension == 2 else 0.0,
+            hints=TrackHints(state),
         )  # fmt: skip
         topology = prediction.track.topology if prediction is not None else Chain(len(nodes))
         return Fit(
             curve, float(state["quality"][0]), reason_of(state, observed.noun), nodes, topology,
-            float(state["width"][0]), observed, width, bool(state["follow"][0]), relief=deep if len(deep) else None,
+            float(state["width"][0]), observed, width, bool(state["follow"][0]), log_depth=deep,
         )  # fmt: skip
 
     def _expected(self, prediction: Prediction | None, width: float) -> tuple[State, Expected, Array, Array, Array]:
@@ -196,8 +196,7 @@ class Centerline(Configuration, kind="centerline"):
             float(width), float(prediction.resolution), float(prediction.stale), float(prediction.motion),
             float(prediction.seconds), float(prediction.lasted), float(prediction.reach), float(track.width),
         )  # fmt: skip
-        relief = _NOTHING if prediction.relief is None else prediction.relief
-        return track.hints.rope, expected, prediction.nodes, relief, track.nodes
+        return track.hints.rope, expected, prediction.nodes, prediction.log_depth, track.nodes
 
     def apply_index_order(self, form: FittedCurve, seen: Array, target: Array | None) -> FittedCurve:
         """Return the curve with point 0 at the end nearest the target, else nearest the top left."""
@@ -211,12 +210,12 @@ class Centerline(Configuration, kind="centerline"):
     def resample(self, form: FittedCurve, metric: FittedCurve) -> Points:
         """Return points with equal chords, from tip to tip or at the centres of N pieces."""
         first, last = (0, len(form.points)) if form.hints.rope is None else form.hints.rope["shown"][0].tolist()
-        places, interpolated, nearest, relief, steep = points_along(
-            form.points, form.arc, metric.points, metric.arc, *_measures(form), form.interpolated, first, last, self.n,
-            self.ends == "tips", self.spacing == "m", form.width / 2,
+        return Points(
+            *points_along(
+                form.points, form.arc, metric.points, metric.arc, form.metres, form.pixels, form.log_depth,
+                form.interpolated, first, last, self.n, self.ends == "tips", self.spacing == "m", form.width / 2,
+            )
         )  # fmt: skip
-        known = form.relief is not None
-        return Points(places, interpolated, nearest, relief if known else None, steep if known else None)
 
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
@@ -239,15 +238,6 @@ def _rejection_reason(observed: Observed, width: float, aspect: float) -> str:
     return ""
 
 
-def _measures(curve: FittedCurve) -> tuple[Array, Array, Array]:
-    """Return the metres, pixels and relief along a curve; ``(0,)`` for what is not known."""
-    metres, pixels, relief = curve.metres, curve.pixels, curve.relief
-    return (
-        _NOTHING if metres is None else metres, _NOTHING if pixels is None else pixels,
-        _NOTHING if relief is None else relief,
-    )  # fmt: skip
-
-
 @lru_cache(maxsize=16)
 def _epochs(sigmas: tuple[float, ...]) -> tuple[Array, float]:
     """Return the widths of the map's neighbourhood as an array, and how far averaging pulls the nodes at the end."""
@@ -267,7 +257,7 @@ def _innovation(found: Fit) -> float:
 def _is_whole(form: FittedCurve, share: float) -> bool:
     """Return whether a form is as long in space as its rope, but for a share, and nothing of it is hidden."""
     rope = form.hints.rope
-    return form.metres is not None and not rope["hides"][0] and abs(rope["stretch"][0] - 1) <= share
+    return len(form.metres) > 0 and not rope["hides"][0] and abs(rope["stretch"][0] - 1) <= share
 
 
 def _seems_whole(found: Fit) -> bool:

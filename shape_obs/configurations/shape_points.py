@@ -11,7 +11,7 @@ from shape_obs.camera import Intrinsics, stereo_noise, viewing_rays
 from shape_obs.configurations.base import Configuration, Points
 from shape_obs.configurations.points_in_image import Seen, seen_points
 from shape_obs.frame import Frame
-from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.curve import FittedCurve, local_stretch, with_log_depth
 from shape_obs.geometry.lattice import FittedLattice
 from shape_obs.geometry.topology import Grid
 from shape_obs.point_cloud.lifting import form_depth, lift_form
@@ -108,26 +108,26 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame, diagonal: fl
     if depth is not None and camera is not None:
         curve = form if isinstance(form, FittedCurve) else None
         in_pieces = curve is not None and not curve.whole and _is_bridged(curve)
-        uneven = spec.spacing == "m" and (curve is None or (curve.metres is None and curve.space is None))
+        uneven = spec.spacing == "m" and (curve is None or (not len(curve.metres) and curve.space is None))
         if uneven or in_pieces:
             under = form_depth(form, depth, region, width)
             lifted = lift_form(form, under, camera) if uneven else None
             metric = form if lifted is None else form.with_points(lifted)
         under = under if in_pieces else None
-    points, interpolated, at, relief, steep, off = (
+    points, interpolated, at, log_depth, steep, off = (
         spec.resample(form, metric) if found.centres is None else _without_gaps(found.centres)
     )
-    if isinstance(form, FittedCurve) and at is None and (form.relief is not None or under is not None):
+    if isinstance(form, FittedCurve) and at is None and (len(form.log_depth) or under is not None):
         at = _nearest(points, form.points)
-        if form.relief is not None:  # the points are a clusterer's
-            relief, steep = form.relief[at], form.steepness(width / 2)[at]
+        if len(form.log_depth):  # the points are a clusterer's
+            stretched = local_stretch(form.arc, with_log_depth(form.points, form.log_depth), width / 2)
+            log_depth, steep = form.log_depth[at], stretched[at]
     # Next to what hides a piece, depth that is not the form's is not the points' either.
     foreign = _NO_FLAGS if under is None else np.isnan(under)[at]
     lens, columns = (_NOTHING, 0) if camera is None else (camera.lens, camera.width)
     return seen_points(
-        points, interpolated, _NOTHING if relief is None else relief, _NOTHING if steep is None else steep, foreign,
-        _NOTHING if off is None else off, found.size, frame.images, region.mask, region.window[:2], width, lens,
-        spec.radius, *known_layout(spec.layout), columns, diagonal,
+        points, interpolated, log_depth, steep, foreign, off, found.size, frame.images, region.mask,
+        region.window[:2], width, lens, spec.radius, *known_layout(spec.layout), columns, diagonal,
     )  # fmt: skip
 
 

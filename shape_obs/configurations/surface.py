@@ -293,7 +293,7 @@ class Surface(Configuration, kind="surface"):
             hidden = sample_lattice(share, *where)[:, 0] > 0.5
         if lattice.shape[2] == 3 and form.points.shape[1] == 2:
             hidden |= uneven_places(sample_lattice(lattice, *where).reshape(self.rows, self.cols, 3))
-        off = None if form.off is None else sample_lattice(form.off.reshape(form.rows, -1, 1), *where)[:, 0]
+        off = np.zeros(0) if form.off is None else sample_lattice(form.off.reshape(form.rows, -1, 1), *where)[:, 0]
         return Points(places, hidden, off=off)
 
     @property

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -20,6 +19,7 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 _SMOOTHING: Final = 9  # points of a fine curve
+_UNKNOWN: Final = np.zeros(0)
 
 
 class TrackHints(NamedTuple):
@@ -82,19 +82,21 @@ class FittedCurve(FittedForm):
     Args:
         arc: ``(P,)`` arc length of the points; ``(P + 1,)`` if closed, the last entry the whole.
         closed: Whether it is closed.
-        metres: ``(P,)`` arc length in space, for an open curve in pixels with depth under it; else None.
-        pixels: ``(P,)`` arc length of the object in an image where its gaps are longer than they are drawn; else None.
-        relief: ``(P,)`` the logarithm of the depth under an open curve in an image, times the focal length in pixels:
-            a third coordinate, in which a step is as long as the same step in the image, at any distance; else None.
+        metres: ``(P,)`` arc length in space, for an open curve in pixels with depth under it; else ``(0,)``.
+        pixels: ``(P,)`` arc length of the object in an image where its gaps are longer than they are drawn; else
+            ``(0,)``.
+        log_depth: ``(P,)`` the logarithm of the depth under an open curve in an image, times the focal length in
+            pixels: a third coordinate, in which a step is as long as the same step in the image, at any distance; else
+            ``(0,)``.
         width: Of the object, in the unit of ``points``; 0 if it is not known.
         space: ``(P, 3)`` where the points of a closed curve in an image lie in space, metres; None if it is not known.
     """
 
     arc: Array
     closed: bool = False
-    metres: Array | None = None
-    pixels: Array | None = None
-    relief: Array | None = None
+    metres: Array = field(default_factory=lambda: _UNKNOWN)
+    pixels: Array = field(default_factory=lambda: _UNKNOWN)
+    log_depth: Array = field(default_factory=lambda: _UNKNOWN)
     width: float = 0.0
     space: Array | None = None
 
@@ -116,28 +118,6 @@ class FittedCurve(FittedForm):
         step = np.diff(self.arc)
         flags = np.append(self.interpolated, self.interpolated[0]) if self.closed else self.interpolated
         return float(step @ (flags[:-1] / 2 + flags[1:] / 2) / max(self.size, 1e-9))
-
-    @property
-    def stations(self) -> Array:
-        """``(P,)`` how far along the object each point lies: in metres if that is known, else in its own unit."""
-        if self.metres is not None:
-            return self.metres
-        return self.arc if self.pixels is None else self.pixels
-
-    @cached_property
-    def lifted(self) -> Array:
-        """``(P, 3)`` the points with their relief; the points themselves without one."""
-        return self.points if self.relief is None else np.concatenate([self.points, self.relief[:, None]], axis=1)
-
-    def steepness(self, reach: float) -> Array:
-        """Return ``(P,)`` how much longer an open curve is in space than in the image, around each of its points.
-
-        Args:
-            reach: Pixels to either side.
-        """
-        if self.relief is None:
-            return np.ones(len(self.points))
-        return local_stretch(self.arc, self.lifted, reach)
 
     def at(self, arc: npt.ArrayLike) -> Array:
         """Return ``(N, D)`` points at ``(N,)`` arc positions; a closed curve wraps around."""
@@ -188,19 +168,16 @@ class FittedCurve(FittedForm):
     def reversed(self) -> FittedCurve:
         """Return the same curve run through backwards; if closed, the first point stays the first."""
         if not self.closed:
-            metres, pixels = (
-                None if along is None else along[-1] - along[::-1] for along in (self.metres, self.pixels)
-            )
+            metres, pixels = (along[-1:] - along[::-1] for along in (self.metres, self.pixels))
             back = self.with_geometry(self.points[::-1].copy(), self.interpolated[::-1].copy())
-            relief = None if self.relief is None else self.relief[::-1].copy()
-            return replace(back, metres=metres, pixels=pixels, relief=relief)
+            return replace(back, metres=metres, pixels=pixels, log_depth=self.log_depth[::-1].copy())
         back = -np.arange(len(self.points))
         return self.with_geometry(self.points[back], self.interpolated[back])
 
     def with_geometry(self, points: Array, interpolated: Mask) -> Self:
         """Return a curve of the same kind through other points."""
         form = {"points": points, "interpolated": interpolated, "arc": arc_length(_polyline(points, self.closed))}
-        return replace(self, **form, metres=None, pixels=None, relief=None, space=None)
+        return replace(self, **form, metres=_UNKNOWN, pixels=_UNKNOWN, log_depth=_UNKNOWN, space=None)
 
 
 def _polyline(points: Array, closed: bool) -> Array:
@@ -208,11 +185,11 @@ def _polyline(points: Array, closed: bool) -> Array:
 
 
 @compiled
-def with_relief(points: Array, relief: Array) -> Array:
-    """Return ``(P, 3)`` points of an image with their relief."""
+def with_log_depth(points: Array, log_depth: Array) -> Array:
+    """Return ``(P, 3)`` points of an image with their log_depth."""
     out = np.empty((len(points), 3))
     for p in range(len(points)):
-        out[p, 0], out[p, 1], out[p, 2] = points[p, 0], points[p, 1], relief[p]
+        out[p, 0], out[p, 1], out[p, 2] = points[p, 0], points[p, 1], log_depth[p]
     return out
 
 

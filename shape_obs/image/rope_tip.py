@@ -204,7 +204,7 @@ def _bend(dx: float, dy: float, px: float, py: float, share: float) -> tuple[flo
 
 
 @compiled
-def rims_of(points: Array, arc: Array, relief: Array, width: float) -> tuple[float, float]:
+def rims_of(points: Array, arc: Array, log_depth: Array, width: float) -> tuple[float, float]:
     """Return how far the rims of both ends of a rope reach beyond the tips of its axis, pixels.
 
     The round end of a tube of width w that is k times as long in space as in the image reaches w/2 (1 - 1/k) farther.
@@ -215,18 +215,18 @@ def rims_of(points: Array, arc: Array, relief: Array, width: float) -> tuple[flo
         inner -= 1
     while arc[outer] < arc[last] - width:
         outer += 1
-    return _rim(points, relief, 0, inner, width), _rim(points, relief, last, outer, width)
+    return _rim(points, log_depth, 0, inner, width), _rim(points, log_depth, last, outer, width)
 
 
 @compiled
-def _rim(points: Array, relief: Array, tip: int, inner: int, width: float) -> float:
+def _rim(points: Array, log_depth: Array, tip: int, inner: int, width: float) -> float:
     flat = math.hypot(points[inner, 0] - points[tip, 0], points[inner, 1] - points[tip, 1])
-    return width / 2 * (1 - 1 / math.hypot(1.0, (relief[inner] - relief[tip]) / max(flat, 1e-9)))
+    return width / 2 * (1 - 1 / math.hypot(1.0, (log_depth[inner] - log_depth[tip]) / max(flat, 1e-9)))
 
 
 @compiled
 def without_ends(
-    points: Array, arc: Array, flags: Flags, metres: Array, relief: Array, head: float, tail: float
+    points: Array, arc: Array, flags: Flags, metres: Array, log_depth: Array, head: float, tail: float
 ) -> tuple[Array, Array, Flags, Array, Array]:
     """Return a curve without so much of both of its ends, in units of its arc length in the image.
 
@@ -237,7 +237,7 @@ def without_ends(
         arc: ``(P,)`` its arc length.
         flags: ``(P,)``.
         metres: ``(P,)`` its arc length in space.
-        relief: ``(P,)``.
+        log_depth: ``(P,)``.
         head: Off the start.
         tail: Off the end.
     """
@@ -249,7 +249,7 @@ def without_ends(
     count, least = stop - first + 2, np.inf
     at, line, kept = np.empty(count), np.empty((len(arc), 4)), np.empty(count, np.bool_)
     for p in range(len(arc)):
-        line[p, 0], line[p, 1], line[p, 2], line[p, 3] = points[p, 0], points[p, 1], metres[p], relief[p]
+        line[p, 0], line[p, 1], line[p, 2], line[p, 3] = points[p, 0], points[p, 1], metres[p], log_depth[p]
         if p > 0:
             least = min(least, (metres[p] - metres[p - 1]) / max(arc[p] - arc[p - 1], 1e-9))
     at[0], at[count - 1], kept[0], kept[count - 1] = head, arc[last] - tail, flags[0], flags[last]

@@ -144,11 +144,11 @@ def gather_lifted_cells(
         depth: The frame's, see ``frame.depth_images``.
         focal: Focal length, pixels.
         width: Of the rope, pixels.
-        expected: ``(K, 3)`` pixels and relief where the rope should be: what lies far from all of it in depth is not
-            the rope's, and a square without depth takes the relief of the nearest of them.
+        expected: ``(K, 3)`` pixels and log-depth where the rope should be: what lies far from all of it in depth is not
+            the rope's, and a square without depth takes the log-depth of the nearest of them.
 
     Returns:
-        ``(M, 3)`` centroids, pixels and relief; ``(M,)`` counts.
+        ``(M, 3)`` centroids, pixels and log-depth; ``(M,)`` counts.
     """
     (millimetres, metric), low, high = depth, np.inf, -np.inf
     for k in range(len(expected)):

@@ -166,7 +166,10 @@ def moved(own: Track, other: Track, before: Lying) -> Track:
     if rope is not None:
         rope["hidden"] = rope["hides"] = rope["occluded"] = rope["folded"] = rope["drift"] = 0
     hints = own.hints._replace(rope=rope)
-    return own._replace(nodes=nodes, velocity=velocity, hints=hints, box=other.box, relief=None, climb=None)
+    forgotten = np.zeros(0)
+    return own._replace(
+        nodes=nodes, velocity=velocity, hints=hints, box=other.box, log_depth=forgotten, depth_rate=forgotten
+    )
 
 
 def _laid_onto(own: Array, other: Array) -> Array:

@@ -62,7 +62,7 @@ _NO_PIXELS: Final = np.zeros((0, 2), np.float32)
 
 def errors_in_cloud(
     points: Points, visible: Mask, valid: Mask, layout: Topology, size: float, resolution: float,
-    camera: Intrinsics | None, off: Array | None,
+    camera: Intrinsics | None, off: Array,
 ) -> npt.NDArray[np.float32]:  # fmt: skip
     """Return the RMS error per axis that is expected of each point of a shape in a cloud, see ``point_errors``.
 
@@ -74,7 +74,7 @@ def errors_in_cloud(
         size: Of the form that was fitted, metres.
         resolution: The distance of the cloud's points, metres.
         camera: The projection; None if there is none.
-        off: ``(N,)`` metres by which points of a sheet may be off within it, see ``Isometry``; None without depth.
+        off: ``(N,)`` metres by which points of a sheet may be off within it, see ``Isometry``; ``(0,)`` without depth.
 
     Returns:
         ``(N,)`` float32 metres; finite, at most ``MAX_SIGMA``, which also stands where a point is not a number.
@@ -88,7 +88,7 @@ def errors_in_cloud(
     fitted = point_errors(
         points, _NO_PIXELS, visible, valid, edges, across, residual, shares.aslant, focal, noise, MAX_SIGMA
     )
-    return fitted if off is None else _bounded(np.hypot(fitted, off / math.sqrt(3)), MAX_SIGMA)
+    return fitted if len(off) == 0 else _bounded(np.hypot(fitted, off / math.sqrt(3)), MAX_SIGMA)
 
 
 def error_on_sheet(z: float, camera: Intrinsics) -> float:

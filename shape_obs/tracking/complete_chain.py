@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.curve import first_coordinates, with_relief
+from shape_obs.geometry.curve import first_coordinates, with_log_depth
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
 from shape_obs.tracking.model import gain_of
@@ -54,9 +54,9 @@ def complete_chain(
         drawn; its log-depth. The last three are ``(0,)`` if they are not known.
     """
     metric, lifted, was, now = len(metres) > 0, len(log_depth) > 0 and len(node_log_depth) > 0, before[0], known[0]
-    rope, share = from_tip_to_tip(with_relief(nodes, node_log_depth) if lifted else nodes)
+    rope, share = from_tip_to_tip(with_log_depth(nodes, node_log_depth) if lifted else nodes)
     curve, stations, size = (
-        with_relief(points, log_depth) if lifted else points,
+        with_log_depth(points, log_depth) if lifted else points,
         metres if metric else arc,
         points.shape[1],
     )

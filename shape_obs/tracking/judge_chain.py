@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.curve import local_stretch, with_relief
+from shape_obs.geometry.curve import local_stretch, with_log_depth
 from shape_obs.tracking.state import State
 
 Array = npt.NDArray[np.float64]
@@ -125,7 +125,7 @@ def judge_chain(
     one_end, steep, steepest = now.occluded[0] != now.occluded[1], (1.0, 1.0), 1.0
     cut = max(now.occlusion[0], now.occlusion[1]) > 0
     if len(log_depth) > 0 and (one_end or cut):
-        stretched = local_stretch(arc, with_relief(points, log_depth), ribbon / 2)
+        stretched = local_stretch(arc, with_log_depth(points, log_depth), ribbon / 2)
         steep, steepest = (stretched[0], stretched[-1]), stretched.max()
     if one_end:
         free = 0 if now.occluded[1] else 1

@@ -1,7 +1,7 @@
 """A rope seen through a mask: a map's curve from tip to tip, its length in space, what its tips look like.
 
-With depth, a pixel's third coordinate is its relief, the logarithm of its depth times the focal length, so that strands
-that touch in the image and not in space stay apart.
+With depth, a pixel's third coordinate is its log-depth, the logarithm of its depth times the focal length, so that
+strands that touch in the image and not in space stay apart.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from shape_obs.camera import stereo_noise, viewing_rays
 from shape_obs.clustering.som import batch_epochs, best_matching_units
 from shape_obs.compiled import compiled
 from shape_obs.frame import DepthImages
-from shape_obs.geometry.curve import first_coordinates, with_relief
+from shape_obs.geometry.curve import first_coordinates, with_log_depth
 from shape_obs.geometry.polyline import arc_length, catmull_rom, even_points, nearest_piece
 from shape_obs.geometry.topology import undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells, near_mask
@@ -43,7 +43,7 @@ def fit_chain_in_mask(
     mask: Mask,
     at: tuple[int, int],
     start: Array,
-    relief: Array,
+    log_depth: Array,
     sigmas: Array,
     pull: float,
     cell: int,
@@ -60,7 +60,7 @@ def fit_chain_in_mask(
         mask: ``(h, w)`` uint8, C-contiguous.
         at: Image column and row of its first pixel.
         start: ``(K, 2)`` nodes, pixels.
-        relief: ``(K,)`` their relief, if there is depth; ``(0,)`` if it is not known.
+        log_depth: ``(K,)`` their log_depth, if there is depth; ``(0,)`` if it is not known.
         sigmas: Width of the map's neighbourhood in each epoch, node units.
         pull: How far averaging pulls the nodes, see ``topology.shrinkage``.
         cell: Edge of the squares in which pixels are gathered.
@@ -72,25 +72,25 @@ def fit_chain_in_mask(
 
     Returns:
         ``(P, 2)`` the curve from tip to tip, pixels; its arc length in the image ``(P,)``; whether it lies off the mask
-        ``(P,)``; its arc length in metres and its relief, ``(P,)``, or ``(0,)`` if they are not known; the mean square
-        distance of the pixels from it, in the image; the share of it that cannot be the rope: it bridges a gap from an
-        end that is free, or runs back along itself; what is known of both tips and what they look like, see
+        ``(P,)``; its arc length in metres and its log-depth, ``(P,)``, or ``(0,)`` if they are not known; the mean
+        square distance of the pixels from it, in the image; the share of it that cannot be the rope: it bridges a gap
+        from an end that is free, or runs back along itself; what is known of both tips and what they look like, see
         ``chain_evidence``.
     """
     focal = lens[0] if len(lens) > 0 else 0.0
-    if len(relief) > 0:
-        start = with_relief(start, relief)
+    if len(log_depth) > 0:
+        start = with_log_depth(start, log_depth)
         points, weight = gather_lifted_cells(runs, cell, depth, focal, width, start)
     else:
         points, weight = gather_cells(runs, cell)
     line = 1, len(start)
     nodes = start
-    if len(relief) > 0:
+    if len(log_depth) > 0:
         nodes, sigmas = batch_epochs(points, weight, start, line, False, sigmas[:1]), sigmas[1:]
         _level_rims(points, nodes, model.off_axis * width)
     nodes = undo_shrinkage(batch_epochs(points, weight, nodes, line, False, sigmas), pull, False)
     flat = extend_chain(first_coordinates(nodes, 2), mask, at[0], at[1], width)
-    lifted = catmull_rom(flat if nodes.shape[1] == 2 else _with_relief(flat, nodes), 4, False)
+    lifted = catmull_rom(flat if nodes.shape[1] == 2 else _with_log_depth(flat, nodes), 4, False)
     curve = first_coordinates(lifted, 2)
     spread = sample_spread(first_coordinates(points, 2), weight, curve)
     off, on = np.empty(len(curve), np.bool_), near_mask(mask, at[0], at[1], curve, 1)
@@ -110,7 +110,7 @@ def fit_chain_in_mask(
     columns = max(depth[0].shape[1], depth[1].shape[1])
     noise = stereo_noise(focal, columns) if focal > 0 and columns > 0 else 0.0
     spurious = open_gaps(curve, arc, off, z, width, depth, noise, mask, at, edge, model)
-    strand = with_relief(curve, deep) if len(deep) > 0 else curve
+    strand = with_log_depth(curve, deep) if len(deep) > 0 else curve
     spurious += _doubled_share(even_points(strand, arc, _PROBES, False), width / 2)
     ends, shapes = chain_evidence(curve, arc, z, width, depth, noise, mask, at, edge, model)
     if len(deep) > 0:
@@ -151,13 +151,13 @@ def _along(points: Array, a: int, b: int, c: int, d: int) -> float:
 
 @compiled
 def _level_rims(points: Array, nodes: Array, least: float) -> None:
-    """Give each sample that lies off a rope's axis the relief that the axis has next to it in the image.
+    """Give each sample that lies off a rope's axis the log-depth that the axis has next to it in the image.
 
     At its rims a rope's depth is mixed with that of what lies behind it. A few such samples are far from all others,
     and a map of a narrow neighbourhood sends a node to them: it folds.
 
     Args:
-        points: ``(M, 3)`` pixels and relief; the relief is changed in place.
+        points: ``(M, 3)`` pixels and log-depth; the log-depth is changed in place.
         nodes: ``(K, 3)`` along the axis.
         least: How far off the axis such a sample lies, pixels.
     """
@@ -193,8 +193,8 @@ def _off_segment(point: Array, start: Array, stop: Array, size: int) -> tuple[fl
 
 
 @compiled
-def _with_relief(flat: Array, nodes: Array) -> Array:
-    """Return ``(K', 3)`` the nodes that were extended to the tips: beyond an end, the relief is the end's own."""
+def _with_log_depth(flat: Array, nodes: Array) -> Array:
+    """Return ``(K', 3)`` the nodes that were extended to the tips: beyond an end, the log-depth is the end's own."""
     lifted, known = np.empty((len(flat), 3)), -1
     for p in range(len(flat)):
         lifted[p, 0], lifted[p, 1] = flat[p, 0], flat[p, 1]

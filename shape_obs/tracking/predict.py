@@ -19,7 +19,7 @@ from shape_obs.tracking.model import MotionModel
 Array = npt.NDArray[np.float64]
 
 _LEAST_INTERVAL: Final = 1e-6  # seconds; stamps that are closer give no velocity
-_NOTHING: Final = np.zeros(0)
+_UNKNOWN: Final = np.zeros(0)
 
 
 class Fit(NamedTuple):
@@ -38,7 +38,7 @@ class Fit(NamedTuple):
         centres: ``(N, D)`` the shape's points in order if a clusterer found them; None if the form gives them.
         new: Whether the numbering begins again, though there was a track: the object is another one.
         track_id: The number of the track that the form belongs to.
-        relief: ``(K,)`` depth at the nodes of a chain in an image, see ``FittedCurve.relief``; None without depth.
+        log_depth: ``(K,)`` of the nodes of a chain in an image, see ``FittedCurve.log_depth``; ``(0,)`` without depth.
     """
 
     form: Any = None
@@ -53,7 +53,7 @@ class Fit(NamedTuple):
     centres: Array | None = None
     new: bool = False
     track_id: int = 0
-    relief: Array | None = None
+    log_depth: Array = _UNKNOWN
 
     @property
     def size(self) -> float:
@@ -77,8 +77,8 @@ class Track(NamedTuple):
         drift: By how much its edges have moved since the frame before, at most, pixels.
         area: Pixels or points of the object; 0 if a part of it was hidden.
         track_id: Its number among the tracks of the shape, from 1.
-        relief: ``(K,)`` depth at the nodes in an image, see ``FittedCurve.relief``; None without depth.
-        climb: ``(K,)`` how fast it changes, units a second.
+        log_depth: ``(K,)`` of the nodes in an image, see ``FittedCurve.log_depth``; ``(0,)`` without depth.
+        depth_rate: ``(K,)`` how fast it changes, units a second; ``(0,)`` if that is not known.
     """
 
     nodes: Array
@@ -93,8 +93,8 @@ class Track(NamedTuple):
     drift: int = 0
     area: int = 0
     track_id: int = 0
-    relief: Array | None = None
-    climb: Array | None = None
+    log_depth: Array = _UNKNOWN
+    depth_rate: Array = _UNKNOWN
 
 
 class Prediction(NamedTuple):
@@ -103,7 +103,7 @@ class Prediction(NamedTuple):
     Args:
         track: Where it was, and all that is known of it.
         nodes: ``(K, D)`` where they should be.
-        relief: ``(K,)`` depth at the nodes in an image, see ``FittedCurve.relief``; None without depth.
+        log_depth: ``(K,)`` of the nodes in an image, see ``FittedCurve.log_depth``; ``(0,)`` without depth.
         motion: How far the nodes are expected to have moved, RMS.
         seconds: Since the track saw the shape.
         lasted: For how many of them this frame counts in what is learnt.
@@ -115,7 +115,7 @@ class Prediction(NamedTuple):
 
     track: Track
     nodes: Array
-    relief: Array | None
+    log_depth: Array
     motion: float
     seconds: float
     lasted: float
@@ -149,14 +149,11 @@ def predict(
     A velocity lasts for as long as it was seen, so that a shape that was lost is searched near its last place.
     ``stale`` and ``reach`` are those of the prediction.
     """
-    since, relief, climb = now - track.stamp, track.relief, track.climb
-    rising = (_NOTHING, _NOTHING) if relief is None or climb is None else (relief, climb)
+    since = now - track.stamp
     ahead = model.velocity_share * min(max(since, 0.0), track.interval)
-    nodes, deep, motion = extrapolated(track.nodes, track.velocity, *rising, ahead)
-    steady = abs(observed.area - track.area) <= model.steady * track.area
-    deep = relief if climb is None else deep
-    lasted = model.lasted(since)
-    return Prediction(track, nodes, deep, motion, since, lasted, observed.resolution, steady, stale, reach)
+    nodes, log_depth, motion = extrapolated(track.nodes, track.velocity, track.log_depth, track.depth_rate, ahead)
+    steady, lasted = abs(observed.area - track.area) <= model.steady * track.area, model.lasted(since)
+    return Prediction(track, nodes, log_depth, motion, since, lasted, observed.resolution, steady, stale, reach)
 
 
 def advance(track: Track | None, found: Fit, observed: Observed, now: float, model: MotionModel) -> Track:
@@ -166,57 +163,55 @@ def advance(track: Track | None, found: Fit, observed: Observed, now: float, mod
     follow noise, or cells of another edge would gather the pixels from one frame to the next.
     """
     form: FittedForm = found.form
-    nodes, topology, width, box, climb = found.nodes, found.topology, found.width, observed.box, None
+    nodes, topology, width, box, depth_rate = found.nodes, found.topology, found.width, observed.box, _UNKNOWN
     assert nodes is not None
     assert topology is not None
     if track is not None and track.width and width:
         width = track.width * (1 + _believed(width / track.width - 1, now - track.stamp, model))
     interval = 0.0 if track is None else now - track.stamp
     if track is not None and interval > _LEAST_INTERVAL:
-        relief = (_NOTHING, _NOTHING) if found.relief is None or track.relief is None else (found.relief, track.relief)
         turning = 1.0 if form.hints.turning is None else form.hints.turning / model.velocity_share
-        velocity, changed = rates(nodes, track.nodes, *relief, interval, turning)
-        climb = changed if len(changed) else None
+        velocity, depth_rate = rates(nodes, track.nodes, found.log_depth, track.log_depth, interval, turning)
     else:
         velocity = np.zeros_like(nodes)
     area = 0 if np.count_nonzero(form.interpolated) else observed.area
     drift = 0 if track is None or track.box is None or box is None else _drift(track.box, box)
     return Track(
         nodes, velocity, max(interval, 0.0), found.size, now, topology, form.hints, width, box, drift, area,
-        found.track_id, found.relief, climb,
+        found.track_id, found.log_depth, depth_rate,
     )  # fmt: skip
 
 
 @compiled("(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8)")
 def extrapolated(
-    nodes: Array, velocity: Array, relief: Array, climb: Array, ahead: float
+    nodes: Array, velocity: Array, log_depth: Array, depth_rate: Array, ahead: float
 ) -> tuple[Array, Array, float]:
-    """Return nodes ``(K, D)`` and relief ``(K,)`` or ``(0,)`` some seconds ahead, and how far the nodes move, RMS."""
-    moved, deep, square = np.empty_like(nodes), np.empty_like(relief), 0.0
+    """Return nodes ``(K, D)`` and log-depth, ``(K,)`` or ``(0,)``, after some seconds, and how far nodes move, RMS."""
+    moved, deep, square = np.empty_like(nodes), log_depth.copy(), 0.0
     for k in range(len(nodes)):
         for d in range(nodes.shape[1]):
             moved[k, d] = nodes[k, d] + ahead * velocity[k, d]
             square += (ahead * velocity[k, d]) ** 2
-    for k in range(len(relief)):
-        deep[k] = relief[k] + ahead * climb[k]
+    for k in range(len(depth_rate)):
+        deep[k] += ahead * depth_rate[k]
     return moved, deep, math.sqrt(square / len(nodes))
 
 
 @compiled("(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, f8)")
 def rates(
-    nodes: Array, before: Array, relief: Array, relief_before: Array, seconds: float, turning: float
+    nodes: Array, before: Array, log_depth: Array, log_depth_before: Array, seconds: float, turning: float
 ) -> tuple[Array, Array]:
-    """Return how fast nodes ``(K, D)`` and their relief ``(K,)`` or ``(0,)`` have changed, units a second.
+    """Return how fast nodes ``(K, D)`` and log-depth have changed, units a second; ``(0,)`` if that is not known.
 
     Of their common motion along a closed curve the share ``turning`` is believed.
     """
-    velocity, climb = np.empty_like(nodes), np.empty_like(relief)
+    velocity, rate = np.empty_like(nodes), np.empty(min(len(log_depth), len(log_depth_before)))
     for k in range(len(nodes)):
         for d in range(nodes.shape[1]):
             velocity[k, d] = (nodes[k, d] - before[k, d]) / seconds
-    for k in range(len(relief)):
-        climb[k] = (relief[k] - relief_before[k]) / seconds
-    return (velocity if turning == 1 else with_turning(nodes, velocity, turning)), climb
+    for k in range(len(rate)):
+        rate[k] = (log_depth[k] - log_depth_before[k]) / seconds
+    return (velocity if turning == 1 else with_turning(nodes, velocity, turning)), rate
 
 
 def _believed(change: float, seconds: float, model: MotionModel) -> float:

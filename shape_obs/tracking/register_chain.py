@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.curve import local_stretch, with_relief
+from shape_obs.geometry.curve import local_stretch, with_log_depth
 from shape_obs.geometry.polyline import arc_length, interpolate, nearest_piece
 from shape_obs.geometry.topology import from_tip_to_tip
 from shape_obs.tracking.model import gain_of
@@ -77,7 +77,7 @@ def register_chain(
     """
     after, metric, unclear, found, predicted = known.copy(), len(metres) > 0, False, points, nodes
     if len(log_depth) > 0 and len(node_log_depth) > 0:
-        found, predicted = with_relief(points, log_depth), with_relief(nodes, node_log_depth)
+        found, predicted = with_log_depth(points, log_depth), with_log_depth(nodes, node_log_depth)
     if len(nodes) > 0:
         stations = metres if metric else arc
         back, unclear = _runs_back(points, stations, metric, ends, found, predicted, known[0], expected, before, model)
@@ -118,7 +118,7 @@ def _match(
     rope, share = from_tip_to_tip(predicted)
     steep, steepest = np.ones(2), 1.0
     if len(log_depth) > 0:
-        stretched = local_stretch(arc, with_relief(points, log_depth), width / 2)
+        stretched = local_stretch(arc, with_log_depth(points, log_depth), width / 2)
         steep[0], steep[1] = stretched[0], stretched[last]
         for p in range(last + 1):
             steepest = max(steepest, stretched[p])

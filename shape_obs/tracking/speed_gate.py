@@ -76,11 +76,11 @@ class Candidate(NamedTuple):
 
 def is_as_large(found: Fit, track: Track, now: float) -> bool:
     """Return whether a form is as large as the object that was tracked, and nothing of it is out of sight."""
-    metres = getattr(found.form, "metres", None)
-    known = 0.0 if metres is None else float(track.hints.rope["metres"][0])
-    if metres is not None and known > 0:
-        return found.form.whole and float(metres[-1]) >= WHOLE * known
-    return found.form.whole and found.size >= (WHOLE - _FALLING * (now - track.stamp)) * track.size
+    form, rope = found.form, track.hints.rope
+    known = 0.0 if rope is None or not len(form.metres) else float(rope["metres"][0])
+    if known > 0:
+        return form.whole and float(form.metres[-1]) >= WHOLE * known
+    return form.whole and found.size >= (WHOLE - _FALLING * (now - track.stamp)) * track.size
 
 
 class SpeedGate:
@@ -135,10 +135,10 @@ class SpeedGate:
             return most
         if scene.intrinsics is None:
             return most * scene.size[1]
-        if (deep := track.relief) is None:
+        if len(track.log_depth) == 0:
             return math.inf
         focal = scene.intrinsics.fx
-        return most * focal / math.exp(deep.item(len(deep) // 2) / focal)  # as deep as its middle
+        return most * focal / math.exp(track.log_depth.item(len(track.nodes) // 2) / focal)  # as deep as its middle
 
     def _compared(self, nodes: Array, before: Array, seconds: float, scene: Scene) -> tuple[float, float, float, str]:
         """Return how far nodes have moved and can have, in their unit, and this unit in pixels or metres, and which."""

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, DepthImages
-from shape_obs.geometry.curve import first_coordinates, with_relief
+from shape_obs.geometry.curve import first_coordinates, with_log_depth
 from shape_obs.geometry.outline import SAMPLED
 from shape_obs.geometry.polyline import arc_length, even_points, interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
@@ -143,7 +143,7 @@ def step_measured_chain(
     deep, now.steep = log_depth, 1.0
     if len(log_depth) > 0:
         deep = even_points(log_depth.reshape(-1, 1), stations, len(found), True).reshape(len(found))
-        now.steep = arc_length(with_relief(points, log_depth))[-1] / max(arc[-1], 1e-9)
+        now.steep = arc_length(with_log_depth(points, log_depth))[-1] / max(arc[-1], 1e-9)
     cold = len(nodes) == 0
     begins = cold or (expected[2] > 0 and max(now.hidden[0], now.hidden[1]) <= now.tolerance)
     judge_chain(
@@ -158,7 +158,7 @@ def visible_nodes(nodes: Array, log_depth: Array, known: State) -> tuple[Array, 
     """Return the predicted nodes ``(K, D)`` of the visible piece of a rope, about as far apart, and their log-depth."""
     if not known[0].hides:
         return nodes, log_depth
-    rope, share = from_tip_to_tip(with_relief(nodes, log_depth) if len(log_depth) > 0 else nodes)
+    rope, share = from_tip_to_tip(with_log_depth(nodes, log_depth) if len(log_depth) > 0 else nodes)
     head, tail, size = known[0].hidden[0], known[0].hidden[1], nodes.shape[1]
     count = max(int(np.rint(len(nodes) * (1 - head - tail))), _FEWEST)
     at = np.empty(count)

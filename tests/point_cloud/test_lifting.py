@@ -226,7 +226,9 @@ def test_strands_that_share_a_square_are_gathered_apart_in_depth(apart):
     runs = np.array([[row, 0, 64] for row in range(16)])
     depth = np.full((16, 64), 1.0, np.float32)
     depth[:, np.arange(64) % 8 >= 4] += apart
-    nodes = np.array([[4.0 + 8 * k, 8.0, relief] for k in range(8) for relief in (0.0, 300 * np.log(1.0 + apart))])
+    nodes = np.array(
+        [[4.0 + 8 * k, 8.0, log_depth] for k in range(8) for log_depth in (0.0, 300 * np.log(1.0 + apart))]
+    )
     points, weight = cells(runs, 8, depth_images(depth), 300.0, 4.0, nodes)
     assert weight.sum() == runs.shape[0] * 64
     assert len(points) == 16 * (2 if apart else 1)
