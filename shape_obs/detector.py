@@ -198,7 +198,8 @@ class ShapeDetector:
             self._units.look_at_cloud(cloud.points)
         now = _lap(timings := {}, "cloud", begin)
         self._clock.tick(frame.stamp)
-        scene, shapes = Scene(frame, self._clock, anchors, in_2d=False, in_3d=True), []
+        intrinsics, shapes = None if frame.camera is None else frame.camera.intrinsics, []
+        scene = Scene(frame, self._clock, anchors, in_2d=False, in_3d=True, intrinsics=intrinsics)
         for tracker in self._followed:
             if isinstance(tracker, Slots):
                 raise ValueError(f"shape {tracker.spec.name!r}: a cloud is of one object; count= needs an image.")

@@ -202,9 +202,8 @@ class Tracker:
         spec, config, clock, last = self.spec, self._config, scene.clock, self._last
         self.strand = None
         misplaced, self._misplaced = self._misplaced, False
-        diagonal = math.hypot(*scene.size)
         if not (reason := found.reason):  # depth enters: -> points
-            shape = shape_of(spec, found, scene.frame, last, config.on_invalid, diagonal)
+            shape = shape_of(spec, found, scene, last, config.on_invalid)
             if not (reason := shape.reason):
                 self._last, self._seen_at = shape, clock.now
                 self._area = self._seen_area * len(shape) / max(np.count_nonzero(shape.visible), 1)
@@ -223,5 +222,5 @@ class Tracker:
         return lost_shape(
             spec.name, spec.layout, reason=f"{reason}; {clock.warning}" if clock.warning else reason,
             in_2d=scene.in_2d, in_3d=scene.in_3d, last=last, age=age, held=age <= config.max_age and not misplaced,
-            policy=config.on_missing, diagonal=diagonal,
+            policy=config.on_missing, diagonal=math.hypot(*scene.size),
         )  # fmt: skip

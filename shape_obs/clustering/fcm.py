@@ -15,8 +15,7 @@ from shape_obs.clustering.base import Centres, Clusterer, rms_spread
 from shape_obs.geometry.observed import Samples
 from shape_obs.geometry.topology import Topology
 
-# What a squared distance is at least, the spread being 1: a sample on a centre belongs to it alone.
-_TINY: Final = 1e-18
+_TINY: Final = 1e-18  # squared distance, at least, of a spread of 1: a sample on a centre belongs to it alone
 
 
 @dataclass(frozen=True)

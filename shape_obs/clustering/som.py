@@ -35,11 +35,10 @@ from shape_obs.geometry.topology import Grid, Ring, Topology, undo_shrinkage
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-# An empty bin pulls its node nowhere: each node keeps a trace of weight where it stands.
-_TRACE: Final = 1e-3
+_TRACE: Final = 1e-3  # of a mean bin's weight stays where a node is: an empty bin pulls it nowhere
 _RING_REACH: Final = 2  # nodes to either side among which a sample of an outline looks for its best-matching unit
 _FAR: Final = 6.0  # widths of a Gaussian, beyond which it counts as zero: there it is 1e-8
-_HALF: Final = np.float32(0.5)
+_HALF: Final = np.float32(0.5)  # in single precision, as the scores are
 
 
 def run_som(samples: Samples, start: Array, topology: Topology, sigmas: tuple[float, ...]) -> Array:

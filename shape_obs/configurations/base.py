@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Final, Literal, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.geometry.curve import NO_VALUES
 from shape_obs.geometry.observed import Observed, Samples
 from shape_obs.geometry.topology import Topology
 from shape_obs.image.region import Region
@@ -36,8 +37,7 @@ Anchor: TypeAlias = Place | Mapping[str, Place] | None
 Count = int | Literal["all"] | None
 Array = npt.NDArray[np.float64]
 
-MOST_SLOTS: Final = 16
-_UNKNOWN: Final = np.zeros(0)
+MOST_SLOTS: Final = 16  # objects: pairs of them are compared, and colours to draw them in run out
 
 
 class Points(NamedTuple):
@@ -55,9 +55,9 @@ class Points(NamedTuple):
     places: Array
     interpolated: npt.NDArray[np.bool_]
     nearest: npt.NDArray[np.intp] | None = None
-    log_depth: Array = _UNKNOWN
-    steep: Array = _UNKNOWN
-    off: Array = _UNKNOWN
+    log_depth: Array = NO_VALUES
+    steep: Array = NO_VALUES
+    off: Array = NO_VALUES
 
 
 _MODULES = {kind: f"shape_obs.configurations.{kind}" for kind in ("centerline", "contour", "surface")}

@@ -13,14 +13,13 @@ import numpy.typing as npt
 from shape_obs.clustering.som import batch_epochs, run_som
 from shape_obs.configurations.base import Configuration, Ends, Points
 from shape_obs.configurations.chain_points import points_along
-from shape_obs.geometry.curve import FittedCurve, TrackHints, local_stretch
+from shape_obs.geometry.curve import NO_VALUES, FittedCurve, TrackHints, local_stretch
 from shape_obs.geometry.intersections import crossing_table
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import arc_length, catmull_rom, interpolate
 from shape_obs.geometry.topology import Chain, shrinkage, undo_shrinkage
 from shape_obs.image.over_under import upper_strands
 from shape_obs.image.region import Region
-from shape_obs.image.roi import Window
 from shape_obs.initialization.connectors import without_connectors
 from shape_obs.initialization.folding import sharp_bends
 from shape_obs.initialization.likeness import Picture
@@ -46,15 +45,12 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
-_NODES: Final = (6, 128)
-_MAX_CELL: Final = 24  # pixels
+_NODES: Final = (6, 128)  # at least and at most, for a rope of any length
+_MAX_CELL: Final = 24  # pixels: the edge of a cell of a very wide rope
 _MAX_CELLS: Final = 4096  # about; more change nothing and cost time
-# The cost of joining pieces grows with the cube of their number, and a rope does not fall into that many.
-_MAX_PIECES: Final = 16
+_MAX_PIECES: Final = 16  # of a mask: a rope does not fall into more, and joining them costs the cube of their number
 _SHORTEST: Final = 0.005  # metres: a length below is in another unit
-_NOTHING: Final = np.zeros(0)
-_NO_NODES: Final = np.zeros((0, 2))
-_EVERYWHERE: Final = Window(-(1 << 30), -(1 << 30), 1 << 31, 1 << 31)
+_NO_NODES: Final = np.zeros((0, 2))  # without a track
 
 
 @dataclass(frozen=True)
@@ -158,20 +154,19 @@ class Centerline(Configuration, kind="centerline"):
         in_metres = self.spacing == "m"
         if isinstance(observed, Region):
             cell = max(int(min(width / 3, _MAX_CELL)), math.isqrt(observed.area // _MAX_CELLS), 1)  # thin ropes keep it
-            lens = _NOTHING if scene.intrinsics is None else scene.intrinsics.lens
             stepped = step_chain_in_mask(
-                observed.runs, observed.mask, observed.window[:2], (scene.edge or _EVERYWHERE)[:4], scene.images, lens,
-                axis, *_epochs(sigmas), cell, observed.area, known, expected, nodes, log_depth, before, off, in_metres,
-                self.model.record,
+                observed.runs, observed.mask, observed.window[:2], (scene.edge or observed.window)[:4], scene.images,
+                scene.lens, axis, *_epochs(sigmas), cell, observed.area, known, expected, nodes, log_depth, before, off,
+                in_metres, self.model.record,
             )  # fmt: skip
         else:
             cloud = cast("Cloud", observed)
-            samples, start = cloud.samples, axis if len(axis) else visible_nodes(nodes, _NOTHING, known)[0]
+            samples, start = cloud.samples, axis if len(axis) else visible_nodes(nodes, NO_VALUES, known)[0]
             curve = catmull_rom(cloud.extend_to_tips(run_som(samples, start, Chain(len(start)), sigmas)), 4, False)
             spread = sample_spread(np.ascontiguousarray(samples.points), np.ascontiguousarray(samples.weight), curve)
             spread, width = spread + cloud.hidden_variance, cloud.ribbon_width
             stepped = step_measured_chain(
-                curve, arc_length(curve), ~cloud.carries(curve), _NOTHING, _NOTHING, *UNKNOWN_TIPS, spread, width, 0,
+                curve, arc_length(curve), ~cloud.carries(curve), NO_VALUES, NO_VALUES, *UNKNOWN_TIPS, spread, width, 0,
                 len(start), known, (0.0, *expected[1:]), nodes, log_depth, before, off, 0.0, in_metres,
                 self.model.record,
             )  # fmt: skip
@@ -190,7 +185,7 @@ class Centerline(Configuration, kind="centerline"):
         """Return what is known and expected of a rope, as ``step_chain_in_mask`` takes it; its width in pixels."""
         if prediction is None:
             expected = float(width), 1.0, 0.0, 0.0, math.inf, 0.0, math.inf, float(width)
-            return new_rope(self.model, self.length or 0.0), expected, _NO_NODES, _NOTHING, _NO_NODES
+            return new_rope(self.model, self.length or 0.0), expected, _NO_NODES, NO_VALUES, _NO_NODES
         track = prediction.track
         expected = (
             float(width), float(prediction.resolution), float(prediction.stale), float(prediction.motion),

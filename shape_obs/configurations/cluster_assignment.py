@@ -23,8 +23,7 @@ from shape_obs.tracking.predict import Fit
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 
-# The seed of every frame: equal masks give equal points.
-_SEED: Final = 0
+_SEED: Final = 0  # of every frame: equal masks give equal points
 
 
 def assign_centres(found: Fit, observed: Observed, spec: Configuration, clusterer: Clusterer) -> Fit:

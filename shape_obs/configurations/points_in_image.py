@@ -25,10 +25,9 @@ Mask = npt.NDArray[np.uint8]
 #: Pixels, metres, visible, valid and errors of ``seen_points``.
 Seen = tuple[Floats, Floats, Flags, Flags, Floats]
 
-# Where a rope is this much longer in space than in the image, its pixels' depth is no point's.
-_END_ON: Final = 2.4
-_END_ON_IF_THIN: Final = 2.0  # the same of a rope thinner than 6 px, whose pixels hold more
-_THIN: Final = 6.0
+_END_ON: Final = 2.4  # times as long in space as in the image: there a pixel's depth is no single point's
+_END_ON_IF_THIN: Final = 2.0  # the same of a thin rope, whose pixels hold more of it
+_THIN: Final = 6.0  # pixels: narrower ropes are thin
 
 
 @compiled(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -10,7 +11,6 @@ import numpy.typing as npt
 from shape_obs.camera import Intrinsics, stereo_noise, viewing_rays
 from shape_obs.configurations.base import Configuration, Points
 from shape_obs.configurations.points_in_image import Seen, seen_points
-from shape_obs.frame import Frame
 from shape_obs.geometry.curve import FittedCurve, local_stretch, with_log_depth
 from shape_obs.geometry.lattice import FittedLattice
 from shape_obs.geometry.topology import Grid
@@ -21,6 +21,7 @@ from shape_obs.tracking.belief import error_on_sheet, errors_in_cloud, known_lay
 from shape_obs.tracking.missing import OnInvalid, fill_invalid
 from shape_obs.tracking.model import LatticeModel
 from shape_obs.tracking.predict import Fit
+from shape_obs.tracking.scene import Scene
 from shape_obs.tracking.validation import validate_gaps
 
 if TYPE_CHECKING:
@@ -30,34 +31,27 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-# What is fitted to the visible half of a round rope lies this share of a radius in front of its axis.
-_HALF_ROUND: Final = np.pi / 4
-_NOTHING: Final = np.zeros(0)
-_NO_FLAGS: Final = np.zeros(0, bool)
+_HALF_ROUND: Final = np.pi / 4  # radii by which a fit to the visible half of a round rope lies in front of its axis
 _SMOOTH: Final = 3.0  # points of the fine curve, over which its direction is taken
 
 
-def shape_of(
-    spec: Configuration, found: Fit, frame: Frame, last: Shape | None, policy: OnInvalid, diagonal: float
-) -> Shape:
+def shape_of(spec: Configuration, found: Fit, scene: Scene, last: Shape | None, policy: OnInvalid) -> Shape:
     """Return the shape of a fit, with a reason if it cannot be right.
 
     Args:
         spec: What was looked for.
         found: The form, in pixels on a mask, in metres in a cloud, its quality, and what it was fitted to.
-        frame: Depth and camera, for a mask.
+        scene: Depth and camera, for a mask.
         last: The shape when it was last found.
         policy: What becomes of points without depth.
-        diagonal: Of the image, pixels: the bound of ``sigma`` in pixels.
     """
-    camera = None if frame.camera is None else frame.camera.intrinsics
     if found.observed.dimension == 2:
-        points2d, points3d, visible, valid, sigma = _points_in_image(spec, found, frame, diagonal)
+        points2d, points3d, visible, valid, sigma = _points_in_image(spec, found, scene)
         points3d = points3d if len(points3d) else None
     else:
-        points2d, points3d, visible, valid, sigma = _points_in_cloud(spec, found, camera)
+        points2d, points3d, visible, valid, sigma = _points_in_cloud(spec, found, scene.intrinsics)
     known = int(np.count_nonzero(valid))
-    reason = _doubt(spec, found, points2d, points3d, valid if known else None, camera)
+    reason = _doubt(spec, found, points2d, points3d, valid if known else None, scene.intrinsics)
     if points3d is not None and known < len(valid):
         points3d = fill_invalid(points3d, valid, None if last is None else last.points3d, policy)
     quality = found.quality * (known / len(valid))
@@ -99,11 +93,10 @@ def _length_of(found: Fit) -> float | None:
     return found.size if found.observed.dimension == 3 and isinstance(found.form, FittedCurve) else None
 
 
-def _points_in_image(spec: Configuration, found: Fit, frame: Frame, diagonal: float) -> Seen:
+def _points_in_image(spec: Configuration, found: Fit, scene: Scene) -> Seen:
     """Return points in pixels with the depth under them; where there is none, with their neighbours' depth."""
     region: Region = found.observed
-    form, depth, width = found.form, frame.depth, found.object_width
-    camera = None if depth is None or frame.camera is None else frame.camera.intrinsics
+    form, depth, camera, width = found.form, scene.depth, scene.intrinsics, found.object_width
     metric, under = form, None
     if depth is not None and camera is not None:
         curve = form if isinstance(form, FittedCurve) else None
@@ -123,11 +116,11 @@ def _points_in_image(spec: Configuration, found: Fit, frame: Frame, diagonal: fl
             stretched = local_stretch(form.arc, with_log_depth(form.points, form.log_depth), width / 2)
             log_depth, steep = form.log_depth[at], stretched[at]
     # Next to what hides a piece, depth that is not the form's is not the points' either.
-    foreign = _NO_FLAGS if under is None else np.isnan(under)[at]
-    lens, columns = (_NOTHING, 0) if camera is None else (camera.lens, camera.width)
+    foreign = np.zeros(0, bool) if under is None else np.isnan(under)[at]
     return seen_points(
-        points, interpolated, log_depth, steep, foreign, off, found.size, frame.images, region.mask,
-        region.window[:2], width, lens, spec.radius, *known_layout(spec.layout), columns, diagonal,
+        points, interpolated, log_depth, steep, foreign, off, found.size, scene.images, region.mask,
+        region.window[:2], width, scene.lens, spec.radius, *known_layout(spec.layout), scene.size[1],
+        math.hypot(*scene.size),
     )  # fmt: skip
 
 

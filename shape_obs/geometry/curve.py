@@ -19,7 +19,8 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 _SMOOTHING: Final = 9  # points of a fine curve
-_UNKNOWN: Final = np.zeros(0)
+#: Values along a curve that are not known.
+NO_VALUES: Final = np.zeros(0)  # of any unit
 
 
 class TrackHints(NamedTuple):
@@ -94,9 +95,9 @@ class FittedCurve(FittedForm):
 
     arc: Array
     closed: bool = False
-    metres: Array = field(default_factory=lambda: _UNKNOWN)
-    pixels: Array = field(default_factory=lambda: _UNKNOWN)
-    log_depth: Array = field(default_factory=lambda: _UNKNOWN)
+    metres: Array = field(default_factory=lambda: NO_VALUES)
+    pixels: Array = field(default_factory=lambda: NO_VALUES)
+    log_depth: Array = field(default_factory=lambda: NO_VALUES)
     width: float = 0.0
     space: Array | None = None
 
@@ -177,7 +178,7 @@ class FittedCurve(FittedForm):
     def with_geometry(self, points: Array, interpolated: Mask) -> Self:
         """Return a curve of the same kind through other points."""
         form = {"points": points, "interpolated": interpolated, "arc": arc_length(_polyline(points, self.closed))}
-        return replace(self, **form, metres=_UNKNOWN, pixels=_UNKNOWN, log_depth=_UNKNOWN, space=None)
+        return replace(self, **form, metres=NO_VALUES, pixels=NO_VALUES, log_depth=NO_VALUES, space=None)
 
 
 def _polyline(points: Array, closed: bool) -> Array:

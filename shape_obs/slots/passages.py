@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
+from shape_obs.geometry.curve import NO_VALUES
 from shape_obs.geometry.polyline import interpolate
 from shape_obs.geometry.rotation import fit
 from shape_obs.slots.attempts import Attempt, Seen, in_image
@@ -166,9 +167,8 @@ def moved(own: Track, other: Track, before: Lying) -> Track:
     if rope is not None:
         rope["hidden"] = rope["hides"] = rope["occluded"] = rope["folded"] = rope["drift"] = 0
     hints = own.hints._replace(rope=rope)
-    forgotten = np.zeros(0)
     return own._replace(
-        nodes=nodes, velocity=velocity, hints=hints, box=other.box, log_depth=forgotten, depth_rate=forgotten
+        nodes=nodes, velocity=velocity, hints=hints, box=other.box, log_depth=NO_VALUES, depth_rate=NO_VALUES
     )
 
 

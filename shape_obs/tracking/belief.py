@@ -21,8 +21,8 @@ Array = npt.NDArray[np.float64]
 Points = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
-#: Metres; of points in pixels the bound is the diagonal of the image.
-MAX_SIGMA: Final = 1.0
+#: Of points in pixels the bound is the diagonal of the image.
+MAX_SIGMA: Final = 1.0  # metres: an object on a table is nowhere farther off
 
 
 class Shares(NamedTuple):
@@ -42,22 +42,17 @@ class Shares(NamedTuple):
     aslant: float
 
 
-# Measured with a D455's noise at 640 x 480 and 160 x 120. The depth of a sheet is that of many pixels; that of a rope
-# is that of few, and the noise of those at its sides comes from what lies behind.
+# The depth of a sheet is that of many pixels; that of a rope is that of few, and the noise of those at its sides comes
+# from what lies behind.
 _SHARES: Final[dict[type[Topology], Shares]] = {
     Chain: Shares(0.35, 0.0005, 1.8, 0.013),
     Ring: Shares(0.25, 0.0012, 1.0, 0.0),
     Grid: Shares(0.2, 0.0004, 0.4, 0.0),
-}
-_IN_CLOUDS: Final = Shares(0.5, 0.001, 1.0, 0.0)
-# A sheet's gaps are equal in space, so that points are off where they are not: by this multiple of what they differ.
-_UNEVEN_SHARE: Final = 1.4
-# What cannot be seen is expected to stray by this share of the arc length to the nearest point that can.
-_HIDDEN_SHARE: Final = 0.32
-# A shape that is not seen is expected to move by this share of the bound in a second: 0.25 m/s, or a quarter of the
-# diagonal; a hand that carries an object moves so.
-_DRIFT: Final = 0.25
-_NO_PIXELS: Final = np.zeros((0, 2), np.float32)
+}  # measured with a D455's noise at 640 x 480 and 160 x 120
+_IN_CLOUDS: Final = Shares(0.5, 0.001, 1.0, 0.0)  # measured with the same noise, in clouds of all three shapes
+_UNEVEN_SHARE: Final = 1.4  # of the difference of a sheet's gaps, which are equal in space: so far are points off
+_HIDDEN_SHARE: Final = 0.32  # of the arc length to the nearest visible point: what cannot be seen errs by so much
+_DRIFT: Final = 0.25  # of the bound in a second, by which an unseen shape moves: a hand that carries it does 0.25 m/s
 
 
 def errors_in_cloud(
@@ -85,8 +80,9 @@ def errors_in_cloud(
         noise = shares.depth * stereo_noise(focal, camera.width)
     edges, across, _ = known_layout(layout)
     residual = math.hypot(shares.resolution * resolution, shares.size * size)
+    no_pixels = np.zeros((0, 2), np.float32)
     fitted = point_errors(
-        points, _NO_PIXELS, visible, valid, edges, across, residual, shares.aslant, focal, noise, MAX_SIGMA
+        points, no_pixels, visible, valid, edges, across, residual, shares.aslant, focal, noise, MAX_SIGMA
     )
     return fitted if len(off) == 0 else _bounded(np.hypot(fitted, off / math.sqrt(3)), MAX_SIGMA)
 

@@ -18,7 +18,7 @@ _UNITS: Final = (
     (1e6, "nanoseconds", 1e9, "1e9"),
     (1e3, "microseconds", 1e6, "1e6"),
     (4.0, "milliseconds", 1e3, "1000"),
-)
+)  # seconds, their unit, and what a second is in it, as a number and in words
 _TICKS: Final = (1.6e5, "ticks of 100 ns", 1e7, "1e7")  # the unit of Windows and .NET, at up to 62 frames a second
 _MOST_TICKS: Final = 2e6  # five frames a second
 _UNIX: Final = (1e9, 4e9)  # seconds since 1970, from 2001 to 2096: stamps of this size are seconds

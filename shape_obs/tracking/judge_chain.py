@@ -16,9 +16,10 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 
-# Why a curve is refused. Up to ``_UNCLEAR`` it does not fit, and does not show where the rope is.
-_OFF, _NO_ROPE, _LONGER, _MISCONNECTED, _EITHER_END, _UNCLEAR, _UNSEEN, _BETWEEN, _DRIFTED = range(1, 10)
-_END_ON, _SHORTER, _OBLIQUE, _POINTING, _STEEP, _UNMEASURED = range(10, 16)
+# Why a curve is refused: the codes of ``RopeState.refusal``.
+_OFF, _NO_ROPE, _LONGER, _MISCONNECTED, _EITHER_END, _UNCLEAR = range(1, 7)  # does not fit, nor show where the rope is
+_UNSEEN, _BETWEEN, _DRIFTED, _END_ON, _SHORTER = range(7, 12)  # fits, but its points may be wrong
+_OBLIQUE, _POINTING, _STEEP, _UNMEASURED = range(12, 16)  # the same, in space alone
 #: The sentence for it, with the two figures of the state and what the rope is seen in, ``"mask"`` or ``"cloud"``.
 _SENTENCES: Final = {
     _OFF: "{0:.0%} of the curve lies off the {noun} (at most {1:.0%})",

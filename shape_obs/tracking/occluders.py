@@ -23,9 +23,9 @@ Mask = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]
 
 #: What is known about a tip: nothing, something hides what lies behind it, it is the rope's own.
-UNKNOWN: Final = 0
-HIDDEN: Final = 1
-FREE: Final = 2
+UNKNOWN: Final = 0  # nothing is seen around a tip
+HIDDEN: Final = 1  # something hides what goes on behind it
+FREE: Final = 2  # the rope ends there
 
 _SPARSE: Final = 12.0  # pixels: from this reach on every second row and column is looked at
 _AT_BORDER: Final = 2  # rows or columns at a border: what leaves the image there covers some of them

@@ -29,8 +29,8 @@ PROBES: Final = np.linspace(0, 1, 32)  # of a visible piece, at which it is comp
 _SHARES: Final = 8  # of what is missing, that may be hidden at an end
 _FINER: Final = 3  # times, that the best share is looked for with steps of half the size
 _TICK: Final = 1e-3  # seconds: stamps that are closer show no speed
-# Steps of what is hidden at the start and at the end; the first two keep their sum.
-_WAYS: Final = np.array([[1.0, -1.0], [-1.0, 1.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+# In which what is hidden at the start and at the end is varied; the first two keep their sum.
+_WAYS: Final = np.array([[1.0, -1.0], [-1.0, 1.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])  # of a step
 _NEARER: Final = 0.9  # a surprise of -1 has no logarithm
 
 

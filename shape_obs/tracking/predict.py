@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.curve import FittedForm, TrackHints
+from shape_obs.geometry.curve import NO_VALUES, FittedForm, TrackHints
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.outline import with_turning
 from shape_obs.geometry.topology import Topology
@@ -19,7 +19,6 @@ from shape_obs.tracking.model import MotionModel
 Array = npt.NDArray[np.float64]
 
 _LEAST_INTERVAL: Final = 1e-6  # seconds; stamps that are closer give no velocity
-_UNKNOWN: Final = np.zeros(0)
 
 
 class Fit(NamedTuple):
@@ -53,7 +52,7 @@ class Fit(NamedTuple):
     centres: Array | None = None
     new: bool = False
     track_id: int = 0
-    log_depth: Array = _UNKNOWN
+    log_depth: Array = NO_VALUES
 
     @property
     def size(self) -> float:
@@ -93,8 +92,8 @@ class Track(NamedTuple):
     drift: int = 0
     area: int = 0
     track_id: int = 0
-    log_depth: Array = _UNKNOWN
-    depth_rate: Array = _UNKNOWN
+    log_depth: Array = NO_VALUES
+    depth_rate: Array = NO_VALUES
 
 
 class Prediction(NamedTuple):
@@ -163,7 +162,7 @@ def advance(track: Track | None, found: Fit, observed: Observed, now: float, mod
     follow noise, or cells of another edge would gather the pixels from one frame to the next.
     """
     form: FittedForm = found.form
-    nodes, topology, width, box, depth_rate = found.nodes, found.topology, found.width, observed.box, _UNKNOWN
+    nodes, topology, width, box, depth_rate = found.nodes, found.topology, found.width, observed.box, NO_VALUES
     assert nodes is not None
     assert topology is not None
     if track is not None and track.width and width:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from shape_obs.camera import Intrinsics
 from shape_obs.frame import DepthImages, Frame, depth_images
+from shape_obs.geometry.curve import NO_VALUES
 from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
 from shape_obs.tracking.clock import Clock
@@ -32,7 +33,7 @@ class Scene(NamedTuple):
         size: ``(H, W)`` in pixels; zeros for a cloud.
         edge: The part of the image that may be searched: an object that touches its edge is cut. None for a cloud.
         depth: ``(H, W)``, None if there is none: it shows what lies over an object.
-        intrinsics: Of the camera, None without depth.
+        intrinsics: Of the camera; None without one, or without depth.
         images: The depth as compiled code reads it; both empty if there is none.
     """
 
@@ -46,6 +47,11 @@ class Scene(NamedTuple):
     depth: npt.NDArray[Any] | None = None
     intrinsics: Intrinsics | None = None
     images: DepthImages = depth_images(None)
+
+    @property
+    def lens(self) -> npt.NDArray[np.float64]:
+        """``(10,)`` the projection, see ``Intrinsics.lens``; ``(0,)`` without one."""
+        return NO_VALUES if self.intrinsics is None else self.intrinsics.lens
 
     def around(self, region: Region) -> tuple[Own, Around]:
         """Return what compiled stages take of a mask, and of the rest of the frame.

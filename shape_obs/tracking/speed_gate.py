@@ -26,10 +26,8 @@ Array = npt.NDArray[np.float64]
 _ASKED: Final = 64  # nodes of a form and of the track that are compared
 _CONTINUOUS: Final = 5  # frames for which a candidate moves continuously before it is believed
 _LONGEST: Final = 10  # frames in which an object in plain sight is refused, at most
-# Of the known size: what is smaller may be a piece of the object, and by how much that falls in each second after it
-# was seen last, where it is not known in metres: half of it may be hidden for long, but it may also be tilted.
-WHOLE: Final = 0.94
-_FALLING: Final = 0.03
+WHOLE: Final = 0.94  # of the known size: what is smaller may be a piece of the object
+_FALLING: Final = 0.03  # in a second: the same falls where the size is in pixels, since the object may be tilted
 LARGER: Final = 2.0  # times: what is so much larger is not the object
 
 
