@@ -231,9 +231,7 @@ class ShapeDetector:
         self._clock.tick(frame.stamp)
         size = (frame.size or (0, 0)) if mask is None else (mask.shape[0], mask.shape[1])
         edge, shapes = None if search is None else search.whole, []
-        scene = Scene(frame, self._clock, anchors, in_2d=True, in_3d=with_depth, size=size, edge=edge)
-        if with_depth and frame.camera is not None:
-            scene = scene._replace(depth=frame.depth, intrinsics=frame.camera.intrinsics, images=frame.images)
+        scene = Scene.in_image(frame, self._clock, size, edge, anchors)
         for followed in self._followed:
             if search is None:
                 shapes += [tracker.finish(Fit(reason=reason), scene) for tracker in followed.trackers]

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import CameraModel, as_camera_model
+from shape_obs.compiled import compiled
 from shape_obs.utils.array_like import plain_array
 from shape_obs.utils.image_layout import advice, apply, is_depth, steps_to_depth, steps_to_rgb
 
@@ -102,29 +103,30 @@ class Frame:
         return depth_images(self.depth)
 
 
-def readable_depth(depth: npt.NDArray[Any] | None) -> tuple[npt.NDArray[Any], float]:
-    """Return depth as compiled code reads it, uint16 or float32 and read-only, and its unit in metres.
-
-    Args:
-        depth: ``(H, W)`` as a frame holds it; None gives ``(0, 0)``.
-    """
-    if depth is None:
-        return _NO_DEPTH, 1.0
-    stored = depth
-    if depth.flags.writeable:
-        stored = _as_stored(depth).view()
-        stored.flags.writeable = False
-    return stored, MILLIMETRE if stored.dtype == _WORD else 1.0
-
-
 def depth_images(depth: npt.NDArray[Any] | None) -> DepthImages:
     """Return depth as a pair of which one is empty, in millimetres or in metres: one type for compiled code.
 
     Args:
-        depth: ``(H, W)`` as a frame holds it; None gives two that are empty.
+        depth: ``(H, W)`` uint16 or float32, as a frame holds it; None gives two that are empty.
     """
-    stored, _ = readable_depth(depth)
+    if depth is None:
+        return _NO_MILLIMETRES, _NO_DEPTH
+    stored = _as_stored(depth).view()
+    stored.flags.writeable = False
     return (stored, _NO_DEPTH) if stored.dtype == _WORD else (_NO_MILLIMETRES, stored)
+
+
+@compiled(inline=True)
+def unit_of(depth: DepthImages) -> float:
+    """Return the unit in which depth is stored, metres."""
+    return MILLIMETRE if len(depth[0]) > 0 else 1.0
+
+
+@compiled(inline=True)
+def metres_at(depth: DepthImages, row: int, column: int) -> float:
+    """Return the depth of a pixel within the image, metres; not between 0 and ``FARTHEST`` where it is not known."""
+    millimetres, metric = depth
+    return millimetres[row, column] * MILLIMETRE if len(millimetres) > 0 else float(metric[row, column])
 
 
 def _as_stored(depth: npt.NDArray[Any]) -> npt.NDArray[Any]:

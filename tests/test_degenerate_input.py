@@ -10,6 +10,7 @@ import pytest
 from fuzzing.inputs import random_inputs_run, run_case
 
 from shape_obs import Centerline, Contour, Intrinsics, ShapeDetector, Surface
+from shape_obs.frame import depth_images
 from shape_obs.image.connected_runs import near_mask
 from shape_obs.point_cloud.local_depth import median_depth
 
@@ -76,8 +77,7 @@ def test_pixels_that_no_image_holds_lie_off_the_mask():
         np.testing.assert_array_equal(on, np.arange(len(points)) == 0)
         image = np.zeros((80, 120), np.float32)
         image[top : top + 9, left : left + 12] = depth
-        image.flags.writeable = False
-        z, _ = median_depth(image, 1.0, mask, left, top, at, 1, 0.25, True)
+        z, _ = median_depth(depth_images(image), mask, left, top, at, 1, 0.25, True)
         np.testing.assert_array_equal(np.isfinite(z), on)
 
 

@@ -85,7 +85,7 @@ def stages(spec: Configuration, mask: np.ndarray) -> np.ndarray:
     rule = RULES[spec.kind]
     window = Whole().window(SIZE)
     region = find_region(rule.apply(Frame(image, None, None, None), window), window, rule.min_area, rule.min_share)
-    found = spec.fit(region, None, None, Scene(Frame(), Clock(), edge=window))
+    found = spec.fit(region, None, None, Scene.in_image(Frame(), Clock(), SIZE, window))
     assert found.nodes is not None
     assert found.topology is not None
     start = initial_form(spec, region, found.form)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from shape_obs.camera import stereo_noise, viewing_rays
 from shape_obs.compiled import compiled
-from shape_obs.frame import DEPTH_TYPE, MILLIMETRE, DepthImages
+from shape_obs.frame import DEPTH_TYPE, DepthImages
 from shape_obs.geometry.topology import fill_lattice
 from shape_obs.image.connected_runs import near_mask
 from shape_obs.point_cloud.local_depth import MAX_REACH, MIN_SHARE, median_depth
@@ -85,10 +85,7 @@ def seen_points(
             valid[n] = visible[n] and known[n] and steep[n] < (_END_ON if width >= _THIN else _END_ON_IF_THIN)
     else:
         rope = across == 0 and len(edges) < count  # too narrow for its depth to slope across it
-        if len(depth[0]) > 0:
-            z, _ = median_depth(depth[0], MILLIMETRE, mask, at[0], at[1], points, reach, MIN_SHARE, not rope)
-        else:
-            z, _ = median_depth(depth[1], 1.0, mask, at[0], at[1], points, reach, MIN_SHARE, not rope)
+        z, _ = median_depth(depth, mask, at[0], at[1], points, reach, MIN_SHARE, not rope)
         for n in range(count):
             valid[n] = visible[n] and math.isfinite(z[n])
     places = _in_space(points, z, lens, radius)

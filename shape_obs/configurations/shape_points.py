@@ -103,7 +103,7 @@ def _points_in_image(spec: Configuration, found: Fit, scene: Scene) -> Seen:
         in_pieces = curve is not None and not curve.whole and _is_bridged(curve)
         uneven = spec.spacing == "m" and (curve is None or (not len(curve.metres) and curve.space is None))
         if uneven or in_pieces:
-            under = form_depth(form, depth, region, width)
+            under = form_depth(form, scene.images, region, width)
             lifted = lift_form(form, under, camera) if uneven else None
             metric = form if lifted is None else form.with_points(lifted)
         under = under if in_pieces else None

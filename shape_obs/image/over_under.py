@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages
+from shape_obs.frame import DEPTH_TYPE, FARTHEST, DepthImages, metres_at
 from shape_obs.geometry.crossings import Crossing
 from shape_obs.geometry.polyline import arc_length, nearest_piece
 from shape_obs.image.connected_runs import nearest_pixel
@@ -122,12 +122,14 @@ def _heading(curve: Array, share: float, width: float, out: Array) -> None:
 @compiled
 def depth_at(depth: DepthImages, u: float, v: float) -> float:
     """Return the depth at a pixel in metres; 0 where there is none."""
-    millimetres, metric = depth
-    high, wide = millimetres.shape if len(millimetres) > 0 else metric.shape
-    column, row = nearest_pixel(u), nearest_pixel(v)
+    (high, wide), column, row = (
+        depth[0].shape if len(depth[0]) > 0 else depth[1].shape,
+        nearest_pixel(u),
+        nearest_pixel(v),
+    )
     if not (0 <= row < high and 0 <= column < wide):
         return 0.0
-    metres = millimetres[row, column] * MILLIMETRE if len(millimetres) > 0 else float(metric[row, column])
+    metres = metres_at(depth, row, column)
     return metres if 0 < metres < FARTHEST else 0.0
 
 

@@ -12,7 +12,7 @@ from scipy.ndimage import median
 from scipy.spatial import KDTree
 
 from shape_obs.camera import Intrinsics
-from shape_obs.frame import FARTHEST, depth_in_metres
+from shape_obs.frame import FARTHEST, depth_images, depth_in_metres
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.observed import MAD_SIGMA, Observed
 from shape_obs.image.region import Region
@@ -118,7 +118,7 @@ class SeenCloud(Cloud):
 
     def lifted(self, curve: FittedCurve) -> FittedCurve:
         """Return a curve over the image, in pixels, in space."""
-        under = form_depth(curve, self.depth, self.region, self.region.width)
+        under = form_depth(curve, depth_images(self.depth), self.region, self.region.width)
         points = lift_form(curve, under, self.intrinsics)
         if points is None:
             return replace(curve, ambiguity=curve.ambiguity or _UNKNOWN)

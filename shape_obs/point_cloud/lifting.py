@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import Intrinsics
 from shape_obs.compiled import compiled
-from shape_obs.frame import readable_depth
+from shape_obs.frame import DepthImages
 from shape_obs.geometry.curve import FittedCurve, FittedForm
 from shape_obs.geometry.lattice import FittedLattice
 from shape_obs.image.region import Region
@@ -25,7 +25,7 @@ COMPARED: Final = 6.0  # widths within which the rope's own depth is looked for
 STEP: Final = 0.015  # metres: no rope on a table comes nearer by this much within a few widths
 
 
-def form_depth(form: FittedForm, depth: npt.NDArray[Any], region: Region, width: float) -> Array:
+def form_depth(form: FittedForm, depth: DepthImages, region: Region, width: float) -> Array:
     """Return ``(P,)`` metres under a form, NaN where it is not known or belongs to something that lies over it.
 
     Under a lattice every third row and column is read.
@@ -36,15 +36,14 @@ def form_depth(form: FittedForm, depth: npt.NDArray[Any], region: Region, width:
 
     Args:
         form: ``(P, 2)`` pixels.
-        depth: ``(H, W)`` the frame's depth.
+        depth: The frame's, see ``frame.depth_images``.
         region: The mask.
         width: The object's width, pixels.
     """
-    readable, unit = readable_depth(depth)
     left, top = region.window[:2]
     reach = min(max(round(width / 4), 1), MAX_REACH)
     points = np.ascontiguousarray(form.points, dtype=np.float64)
-    where = readable, unit, region.mask, left, top
+    where = depth, region.mask, left, top
     if isinstance(form, FittedLattice):
         (rows, down), (cols, right) = _some(form.rows), _some(len(points) // form.rows)
         some = np.ascontiguousarray(form.lattice[np.ix_(rows, cols)].reshape(-1, 2))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.frame import FARTHEST
+from shape_obs.frame import DEPTH_TYPE, FARTHEST, DepthImages, unit_of
 from shape_obs.image.connected_runs import nearest_pixel
 
 Array = npt.NDArray[np.float64]
@@ -30,13 +30,9 @@ _MOST: Final = np.int32(2**31 - 1)
 _ONE: Final = np.float32(1)
 
 
-@compiled(
-    "(Array(u2, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8, b1)",
-    "(Array(f4, 2, 'C', readonly=True), f8, u1[:,::1], i8, i8, f8[:,::1], i8, f8, b1)",
-)
+@compiled("(" + DEPTH_TYPE + ", u1[:,::1], i8, i8, f8[:,::1], i8, f8, b1)")
 def median_depth(
-    depth: npt.NDArray[Any],
-    unit: float,
+    depth: DepthImages,
     mask: Mask,
     left: int,
     top: int,
@@ -52,8 +48,7 @@ def median_depth(
     depth, which is linear in the pixel on a plane, without what lies far off it.
 
     Args:
-        depth: ``(H, W)`` read-only, uint16 or float32; 0, negative, non-finite or absurd = invalid.
-        unit: Metres in a unit of depth.
+        depth: The frame's, see ``frame.depth_images``; 0, negative, non-finite or absurd = invalid.
         mask: ``(h, w)`` uint8, C-contiguous.
         left: Image column of its first pixel.
         top: Image row of its first pixel.
@@ -72,8 +67,8 @@ def median_depth(
     near, x, y, w, spare = room(size), room(size), room(size), room(size), room(size)
     for n in range(len(points)):
         places[n, 0], places[n, 1] = points[n, 0], points[n, 1]
-        inside, known = gather_depth(depth, unit, mask, left, top, points[n, 0], points[n, 1], reach, step, near, x, y)
-        out[n] = middle_depth(near, x, y, w, spare, known, max(min_share * inside, 1), sloped) * unit
+        inside, known = gather_depth(depth, mask, left, top, points[n, 0], points[n, 1], reach, step, near, x, y)
+        out[n] = middle_depth(near, x, y, w, spare, known, max(min_share * inside, 1), sloped) * unit_of(depth)
         if not sloped and out[n] > 0:
             for k in range(known):
                 places[n, 0] += x[k] / known
@@ -83,14 +78,13 @@ def median_depth(
 
 @compiled
 def gather_depth(
-    depth: npt.NDArray[Any], unit: float, mask: Mask, left: int, top: int, at_u: float, at_v: float, reach: int,
-    step: int, near: Floats, x: Floats, y: Floats,
+    depth: DepthImages, mask: Mask, left: int, top: int, at_u: float, at_v: float, reach: int, step: int,
+    near: Floats, x: Floats, y: Floats,
 ) -> tuple[int, int]:  # fmt: skip
     """Gather the valid depth of a mask around a point, and where it lies from there.
 
     Args:
-        depth: As ``median_depth`` takes it, and the next four.
-        unit: Metres.
+        depth: As ``median_depth`` takes it, and the next three.
         mask: Uint8.
         left: Image column.
         top: Image row.
@@ -98,7 +92,7 @@ def gather_depth(
         at_v: The same.
         reach: Pixels.
         step: 1 for every pixel, 2 for every second one as on a chessboard.
-        near: In ``room``, is filled with the depth, in its own unit.
+        near: In ``room``, is filled with the depth as it is stored, whose median is found sooner than that of metres.
         x: Is filled with pixels from the point.
         y: The same.
 
@@ -106,16 +100,17 @@ def gather_depth(
         How many pixels of the mask there are, and how many of them have depth.
     """
     height, width = mask.shape
-    column, row, metre = nearest_pixel(at_u) - left, nearest_pixel(at_v) - top, np.float32(unit)
+    column, row, (millimetres, metric) = nearest_pixel(at_u) - left, nearest_pixel(at_v) - top, depth
+    whole, unit = len(millimetres) > 0, np.float32(unit_of(depth))
     inside = known = 0
     for v in range(max(row - reach, 0), min(row + reach + 1, height)):
         y_here = np.float32(v + top - at_v)
         for u in range(column - reach + (v - row & 1) * (step - 1), min(column + reach + 1, width), step):
             if u >= 0 and mask[v, u] != 0:
                 inside += 1
-                near[known] = depth[v + top, u + left]
+                near[known] = np.float32(millimetres[v + top, u + left]) if whole else metric[v + top, u + left]
                 x[known], y[known] = u + left - at_u, y_here
-                known += 0 < near[known] * metre < FARTHEST  # the next one overwrites what is not valid
+                known += 0 < near[known] * unit < FARTHEST  # the next one overwrites what is not valid
     return inside, known
 
 
@@ -123,7 +118,7 @@ def gather_depth(
 def middle_depth(
     near: Floats, x: Floats, y: Floats, w: Floats, spare: Floats, known: int, least: float, sloped: bool
 ) -> float:
-    """Return the depth at a point by the depth around it, in its own unit; NaN if less than ``least`` pixels have any.
+    """Return the depth at a point by the depth around it, in its unit; NaN if less than ``least`` pixels have any.
 
     Args:
         near: What ``gather_depth`` has filled, as are the next two.

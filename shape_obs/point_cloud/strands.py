@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.frame import FARTHEST, MILLIMETRE, DepthImages
+from shape_obs.frame import FARTHEST, DepthImages, metres_at, unit_of
 from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.point_cloud.local_depth import MIN_SHARE, SPARSE, median, room
 
@@ -61,20 +61,8 @@ def strand_depth(
     Returns:
         ``(P,)`` metres; ``(P, 2)`` image pixels.
     """
-    millimetres, metres = depth
-    if len(millimetres) > 0:
-        return _strand_depth(millimetres, MILLIMETRE, mask, at, points, reach, expected, slack)
-    return _strand_depth(metres, 1.0, mask, at, points, reach, expected, slack)
-
-
-@compiled
-def _strand_depth(
-    image: npt.NDArray[Any], unit: float, mask: Mask, at: tuple[int, int], points: Array, reach: int, expected: Array,
-    slack: float,
-) -> tuple[Array, Array]:  # fmt: skip
-    """Return ``strand_depth`` of an image of depth in a unit, metres."""
-    (height, width), step = mask.shape, 2 if reach >= SPARSE else 1
-    near = room((2 * reach + 1) ** 2)
+    (height, width), step, (millimetres, metric) = mask.shape, 2 if reach >= SPARSE else 1, depth
+    near, whole, unit = room((2 * reach + 1) ** 2), len(millimetres) > 0, unit_of(depth)
     out, places = np.empty(len(points)), np.empty_like(points)
     for n in range(len(points)):
         low, high, share = 0.0, FARTHEST / unit, MIN_SHARE
@@ -87,7 +75,8 @@ def _strand_depth(
             while first < 0:
                 first += step
             for u in range(first, min(column + reach + 1, width), step):  # what is not wanted is overwritten
-                on, z = mask[_U(v), _U(u)] != 0, np.float32(image[_U(v + at[1]), _U(u + at[0])])
+                on, i, j = mask[_U(v), _U(u)] != 0, _U(v + at[1]), _U(u + at[0])
+                z = np.float32(millimetres[i, j]) if whole else metric[i, j]
                 near[_U(known)] = z
                 wanted = on and low < z and z < high
                 inside, x, known = inside + on, x + (u if wanted else 0), known + wanted
@@ -114,7 +103,7 @@ def strand_under(
         expected: ``(N,)`` depth of the strand, metres.
         slack: By which share another strand is nearer, at least.
     """
-    (millimetres, metric), (height, width) = depth, mask.shape
+    height, width = mask.shape
     seen, under = np.zeros(len(points), np.bool_), np.zeros(len(points), np.bool_)
     for n in range(len(points)):
         column, row = nearest_pixel(points[n, 0]) - at[0], nearest_pixel(points[n, 1]) - at[1]
@@ -123,8 +112,7 @@ def strand_under(
             for u in range(max(column - reach, 0), min(column + reach + 1, width)):
                 if mask[v, u] == 0:
                     continue
-                y, x = v + at[1], u + at[0]
-                z = millimetres[y, x] * MILLIMETRE if len(millimetres) > 0 else float(metric[y, x])
+                z = metres_at(depth, v + at[1], u + at[0])
                 inside += 1
                 known += 0 < z < FARTHEST
                 nearer += 0 < z < expected[n] * (1 - slack)
@@ -150,7 +138,7 @@ def gather_lifted_cells(
     Returns:
         ``(M, 3)`` centroids, pixels and log-depth; ``(M,)`` counts.
     """
-    (millimetres, metric), low, high = depth, np.inf, -np.inf
+    low, high = np.inf, -np.inf
     for k in range(len(expected)):
         low, high = min(low, expected[k, 2]), max(high, expected[k, 2])
     low, high = math.exp(low / focal - _MOVED), min(math.exp(high / focal + _MOVED), FARTHEST)
@@ -174,7 +162,7 @@ def gather_lifted_cells(
                 held += 1
             near, far, known, total = sums[into, 5], sums[into, 6], 0.0, 0.0
             for k in range(column, stop):
-                metres = millimetres[row, k] * MILLIMETRE if len(millimetres) > 0 else float(metric[row, k])
+                metres = metres_at(depth, row, k)
                 if low < metres < high:
                     near, far, known, total = min(near, metres), max(far, metres), known + 1, total + metres
             sums[into, 5], sums[into, 6], apart = near, far, apart or far > behind * near
@@ -218,7 +206,7 @@ def _part_strands(
     top: int, left: int, across: int, places: npt.NDArray[np.int32], sums: Array, held: int,
 ) -> int:  # fmt: skip
     """Give the strand behind another in a square sums of its own; return how many there are then."""
-    (millimetres, metric), count, other = depth, held, np.full(held, -1, np.int64)
+    count, other = held, np.full(held, -1, np.int64)
     for into in range(held):
         if sums[into, 6] > behind * sums[into, 5]:
             near = sums[into, 5]
@@ -231,7 +219,7 @@ def _part_strands(
         for column in range(runs[at, 1], runs[at, 2]):
             into = places[base + column // edge]
             if other[into] >= 0:
-                metres = millimetres[row, column] * MILLIMETRE if len(millimetres) > 0 else float(metric[row, column])
+                metres = metres_at(depth, row, column)
                 known = limits[0] < metres < limits[1]
                 far = known and metres > behind * sums[into, 5]
                 _add(

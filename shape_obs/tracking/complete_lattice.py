@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages
+from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages, unit_of
 from shape_obs.geometry.coons import RIM, SIDE, folded_piece, stretched, unfold
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.rotation import fit
@@ -171,10 +171,7 @@ def rim_depth(
     if known:
         reach = int(min(max(round(width * share), least), most))
         under = np.empty(count)
-        if millimetres.size > 0:
-            _read(millimetres, MILLIMETRE, mask, left, top, rim, every, reach, min_depth, under)
-        else:
-            _read(metres, 1.0, mask, left, top, rim, every, reach, min_depth, under)
+        _read(depth, mask, left, top, rim, every, reach, min_depth, under)
         if bridged(under):
             steps = int(edge_reach)
             if millimetres.size > 0:
@@ -195,8 +192,8 @@ def rim_depth(
 
 @compiled
 def _read(
-    depth: npt.NDArray[Any], unit: float, mask: npt.NDArray[np.uint8], left: int, top: int, rim: Array, every: int,
-    reach: int, least: float, out: Array,
+    depth: DepthImages, mask: npt.NDArray[np.uint8], left: int, top: int, rim: Array, every: int, reach: int,
+    least: float, out: Array,
 ) -> None:  # fmt: skip
     """Fill the depth under every few points of an outline, metres."""
     step = 2 if reach >= SPARSE else 1
@@ -204,8 +201,8 @@ def _read(
     near, x, y, w, spare = room(size), room(size), room(size), room(size), room(size)
     for k in range(len(out)):
         u, v = rim[k * every, 0], rim[k * every, 1]
-        inside, known = gather_depth(depth, unit, mask, left, top, u, v, reach, step, near, x, y)
-        out[k] = middle_depth(near, x, y, w, spare, known, max(least * inside, 1), True) * unit
+        inside, known = gather_depth(depth, mask, left, top, u, v, reach, step, near, x, y)
+        out[k] = middle_depth(near, x, y, w, spare, known, max(least * inside, 1), True) * unit_of(depth)
 
 
 @compiled

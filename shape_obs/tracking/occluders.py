@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.frame import FARTHEST, MILLIMETRE, DepthImages
+from shape_obs.frame import FARTHEST, DepthImages, metres_at
 from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.image.over_under import depth_at
 
@@ -289,9 +289,8 @@ def tip_evidence(
         or tip[1] > edge[1] + edge[3] - 1 - near
     ) and _reaches_border(tip, width, mask, at, edge):
         return HIDDEN
-    (millimetres, metric), reach = depth, max(model.tip_reach[0] * width, model.tip_reach[1])
-    whole, step = len(millimetres) > 0, 2 if reach >= _SPARSE else 1
-    high, wide = millimetres.shape if whole else metric.shape
+    reach = max(model.tip_reach[0] * width, model.tip_reach[1])
+    step, (high, wide) = 2 if reach >= _SPARSE else 1, depth[0].shape if len(depth[0]) > 0 else depth[1].shape
     if high == 0 or not z > 0:
         return UNKNOWN
     column, row, steps = nearest_pixel(tip[0]), nearest_pixel(tip[1]), math.ceil(reach)
@@ -308,7 +307,7 @@ def tip_evidence(
             i, j = v - at[1], u - at[0]
             if 0 <= i < mask.shape[0] and 0 <= j < mask.shape[1] and mask[i, j] != 0:
                 continue
-            metres = millimetres[v, u] * MILLIMETRE if whole else float(metric[v, u])
+            metres = metres_at(depth, v, u)
             known = 0 < metres < FARTHEST
             count += 1
             spare = slope * away

@@ -48,6 +48,16 @@ class Scene(NamedTuple):
     intrinsics: Intrinsics | None = None
     images: DepthImages = depth_images(None)
 
+    @classmethod
+    def in_image(
+        cls, frame: Frame, clock: Clock, size: tuple[int, int], edge: Window | None, anchors: Anchors = None
+    ) -> Scene:
+        """Return the scene of images or a mask of ``(H, W)``, in space if there are depth and a camera."""
+        if frame.depth is None or frame.camera is None:
+            return cls(frame, clock, anchors, True, False, size, edge)
+        known = frame.depth, frame.camera.intrinsics, frame.images
+        return cls(frame, clock, anchors, True, True, size, edge, *known)
+
     @property
     def lens(self) -> npt.NDArray[np.float64]:
         """``(10,)`` the projection, see ``Intrinsics.lens``; ``(0,)`` without one."""

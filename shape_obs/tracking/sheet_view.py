@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.frame import FARTHEST, depth_images, readable_depth
+from shape_obs.frame import FARTHEST, MILLIMETRE, depth_images
 from shape_obs.geometry.coons import RIM, SIDE, TURN_REACH, border_of, side_lengths
 from shape_obs.geometry.curve import TrackHints
 from shape_obs.geometry.polyline import arc_length
@@ -88,7 +88,7 @@ class SheetView:
             lattice: ``(P, 2)`` the same in pixels.
             depth: ``(H, W)`` the frame's.
         """
-        readable, unit = readable_depth(depth)
+        readable, unit = depth, MILLIMETRE if depth.dtype == np.uint16 else 1.0
         column, row = np.rint(lattice).astype(np.int64).T
         within = (row >= 0) & (row < readable.shape[0]) & (column >= 0) & (column < readable.shape[1])
         behind = np.zeros(len(patch))

@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages
+from shape_obs.frame import DEPTH_TYPE, DepthImages
 from shape_obs.geometry.observed import Observed
-from shape_obs.image.connected_runs import nearest_pixel
+from shape_obs.image.over_under import depth_at
 from shape_obs.tracking.model import MotionModel
 from shape_obs.tracking.predict import Fit, Prediction, Track, extrapolated, predict, rates
 from shape_obs.tracking.scene import Scene
@@ -171,15 +171,11 @@ def typical_motion(nodes: Array, before: Array, depth: DepthImages) -> tuple[flo
                 square += (nodes[j, d] - before[k, d]) ** 2
             least = min(least, square)
         apart[k // stride] = math.sqrt(least)
-    (millimetres, metric), (high, wide) = depth, depth[0].shape if len(depth[0]) > 0 else depth[1].shape
-    if high > 0:
-        for j in range(0, len(nodes), step):
-            u = min(max(nearest_pixel(nodes[j, 0]), 0), wide - 1)
-            v = min(max(nearest_pixel(nodes[j, 1]), 0), high - 1)
-            metres = millimetres[v, u] * MILLIMETRE if len(millimetres) > 0 else float(metric[v, u])
-            if 0 < metres < FARTHEST:
-                away[known] = metres
-                known += 1
+    for j in range(0, len(nodes), step):
+        metres = depth_at(depth, nodes[j, 0], nodes[j, 1])
+        if metres > 0:
+            away[known] = metres
+            known += 1
     return np.median(apart), np.median(away[:known]) if known else 0.0
 
 

@@ -105,7 +105,7 @@ def stage_picture(result: Result, stage: str) -> Image:
     if stage == "samples":
         _draw_samples(drawn, region.gather(max(region.width / 3, 1.0)), scale)
         return drawn
-    found = spec.fit(region, None, None, Scene(Frame(), Clock(), edge=result.roi.window(result.size)))
+    found = spec.fit(region, None, None, Scene.in_image(Frame(), Clock(), result.size, result.roi.window(result.size)))
     if found.nodes is None or found.topology is None:
         return _blank(picture, found.reason or "no form was found")
     _draw_nodes(drawn, found, spec, scale)

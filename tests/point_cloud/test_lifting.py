@@ -16,7 +16,9 @@ from shape_obs.geometry.curve import FittedCurve
 from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
 from shape_obs.point_cloud.strands import gather_lifted_cells
+from shape_obs.tracking.clock import Clock
 from shape_obs.tracking.predict import Fit
+from shape_obs.tracking.scene import Scene
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
 
@@ -210,7 +212,8 @@ def test_a_centre_outside_the_mask_is_not_valid_though_depth_lies_near_it(intrin
     centres = np.array([[50.0, 120.0], [150.0, 134.5], [250.0, 120.0]])
     frame = Frame(None, np.full(mask.shape, 0.7), CameraModel(intrinsics))
     found = Fit(curve, 1.0, observed=region, object_width=region.width, centres=centres)
-    shape = shape_of(Centerline(n=3), found, frame, None, "nan", 400.0)
+    scene = Scene.in_image(frame, Clock(), mask.shape, None)
+    shape = shape_of(Centerline(n=3), found, scene, None, "nan")
     assert shape.visible.tolist() == [True, False, True]
     assert shape.valid.tolist() == [True, False, True]
 
