@@ -14,7 +14,15 @@ from shape_obs.configurations.base import Configuration, Points, Scene
 from shape_obs.geometry.curve import FittedCurve, TrackHints
 from shape_obs.geometry.observed import Observed, Samples
 from shape_obs.geometry.outline import SAMPLED, clockwise, material_outline
-from shape_obs.geometry.polyline import MAX_SHIFT_AROUND, arc_length, closed, equal_chords, interpolate, starting_at
+from shape_obs.geometry.polyline import (
+    MAX_SHIFT_AROUND,
+    arc_length,
+    catmull_rom,
+    closed,
+    equal_chords,
+    interpolate,
+    starting_at,
+)
 from shape_obs.geometry.topology import Ring
 from shape_obs.image.outline_tracing import trace_hole
 from shape_obs.image.region import Region
@@ -22,7 +30,7 @@ from shape_obs.tracking.measure_ring import MIN_SAMPLES, fit_ring_in_cloud, node
 from shape_obs.tracking.model import RingModel
 from shape_obs.tracking.predict import Fit, Prediction
 from shape_obs.tracking.register_ring import begin_outline, first_place
-from shape_obs.tracking.step_ring import RingStep, follow_ring, step_ring_in_mask
+from shape_obs.tracking.step_ring import FOUND, NO_HOLE, NOT_HOLLOW, TOO_SMALL, RingStep, follow_ring, step_ring_in_mask
 from shape_obs.tracking.validation import validate_outline
 
 if TYPE_CHECKING:
@@ -31,6 +39,7 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 
 _NOTHING: Final = np.zeros((0, 2))  # no nodes
+_NOWHERE: Final = np.zeros((0, 3))  # no places in space
 _ANYWHERE: Final = np.zeros(0)  # no target
 
 
@@ -77,19 +86,18 @@ class Contour(Configuration, kind="contour"):
             (mask, (images, edge, _)), camera = scene.around(region), scene.intrinsics
             step = step_ring_in_mask(
                 *mask, images, edge, _ANYWHERE if camera is None else camera.lens,
-                -1 if self.hole is None else self.hole, _ANYWHERE if target is None else target, *given, lasted,
-                self.model.record, self.model.depth_limits,
+                -1 if self.hole is None else self.hole, self.ring, _ANYWHERE if target is None else target, *given,
+                lasted, self.model.record, self.model.depth_limits,
             )  # fmt: skip
         else:
             step = self._step_in_cloud(cast("Cloud", observed), prediction, target, *given)
-        (points, space, arc, nodes, known, turning, unseen), miss, samples, width, hollow = step
-        reason = self._rejection_reason(observed, samples, width, hollow)
-        if reason:
-            return Fit(reason=reason)
+        (points, space, arc, nodes, known, turning, unseen), why, miss, samples, width = step
+        if why != FOUND:
+            return Fit(reason=self._rejection_reason(why, observed, samples, width))
         reason, quality = validate_outline(observed, np.inf if unseen else miss, self.model)
         form = FittedCurve(
             points, np.zeros(len(points), bool), arc, True,
-            space=space if region is not None and space.shape[1] == 3 and len(space) else None,
+            space=space if len(space) else None,
             hints=TrackHints(reference=known if len(known) else None, turning=turning),
         )  # fmt: skip
         topology = Ring(len(nodes)) if prediction is None else prediction.topology
@@ -100,6 +108,9 @@ class Contour(Configuration, kind="contour"):
     ) -> RingStep:
         """Follow an outline into a cloud, or find it there; see ``step_ring_in_mask``."""
         samples, outline = cloud.outline_samples(), np.ascontiguousarray(cloud.outline_curve().points)
+        why = NO_HOLE if self.hole is not None else TOO_SMALL if len(outline) < MIN_SAMPLES else FOUND
+        if why != FOUND:
+            return (outline, outline, _ANYWHERE, nodes, known, 0.0, True), why, np.inf, len(outline), 0.0
         count = len(nodes) if len(nodes) else nodes_around(len(outline), self.model.node_spacing)
         start = outline[0] if prediction is None else nodes[0]
         points, miss = fit_ring_in_cloud(
@@ -108,29 +119,26 @@ class Contour(Configuration, kind="contour"):
         if prediction is None:
             curve = FittedCurve.through(points, np.zeros(len(points), bool), True)
             curve = self.apply_index_order(curve, cloud.seen(points, target), target)
-            points, space, arc, nodes, _ = begin_outline(curve.points, curve.points, 0.0, count)
+            points, space, arc, nodes, _ = begin_outline(curve.points, _NOWHERE, 0.0, count)
             found = points, space, arc, nodes, known, self.model.velocity_share, False
         else:
             found = follow_ring(
-                points, points, np.zeros(len(points), bool), nodes, known, cloud.resolution, _ANYWHERE,
+                points, _NOWHERE, np.zeros(len(points), bool), nodes, known, cloud.resolution, _ANYWHERE,
                 prediction.lasted, self.model.record,
             )  # fmt: skip
-        return found, miss, len(outline), 0.0, 1.0
+        return found, why, miss, len(outline), 0.0
 
-    def _rejection_reason(self, observed: Observed, samples: int, width: float, hollow: float) -> str:
-        """Return why an object has no such outline: no such hole, a few pixels, or two sides too close together."""
-        region = observed if isinstance(observed, Region) else None
-        if self.hole is not None and (region is None or samples == 0):
-            holes = 0 if region is None else len(region.holes)
+    def _rejection_reason(self, why: int, observed: Observed, samples: int, width: float) -> str:
+        """Return in words why an object has no such outline."""
+        if why == NO_HOLE:
+            holes = len(observed.holes) if isinstance(observed, Region) else 0
             return f"hole {self.hole} was asked for, the {observed.noun} has {holes}"
-        if self.ring and region is not None and hollow < self.model.min_hollow:
+        if why == NOT_HOLLOW:
             return "the mask encloses no hole: something lies over the ring, or it is open"
-        if samples < MIN_SAMPLES:
+        if why == TOO_SMALL:
             return f"the outline is too small: {samples} samples, at least {MIN_SAMPLES} are needed"
         least = self.model.min_width * SAMPLED
-        if region is not None and self.hole is None and width < least:
-            return f"the mask is {width:.2g} px wide: too thin for an outline (at least {least:.2g})"
-        return ""
+        return f"the mask is {width:.2g} px wide: too thin for an outline (at least {least:.2g})"
 
     def apply_index_order(self, form: FittedCurve, seen: Array, target: Array | None) -> FittedCurve:
         """Return the curve clockwise as seen, from the place nearest the target, else from the least u + v."""
@@ -152,9 +160,9 @@ class Contour(Configuration, kind="contour"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        clouds = nodes_around, fit_ring_in_cloud, begin_outline, follow_ring
-        numbering = arc_length, first_place, starting_at, points_around
-        return step_ring_in_mask, *clouds, *numbering, interpolate, trace_hole, material_outline
+        clouds = nodes_around, fit_ring_in_cloud, follow_ring, begin_outline, arc_length, catmull_rom, interpolate
+        clustered = trace_hole, material_outline
+        return step_ring_in_mask, *clouds, *clustered, first_place, starting_at, points_around
 
 
 @compiled("(f8[:,::1], f8[::1], f8[:,::1], i8)")

@@ -214,11 +214,13 @@ def starting_at(points: Array, arc: Array, start: float) -> Array:
     while arc[after] < start + same:
         after += 1
     before = after - 1 if start - arc[after - 1] <= same else after  # the point is there already
-    out = np.empty((1 + count - after + before, points.shape[1]))
+    out, at = np.empty((1 + count - after + before, points.shape[1])), after
     first = even_around(closed(points), arc, start, 1)
     for p in range(len(out)):
         for d in range(points.shape[1]):
-            out[p, d] = first[0, d] if p == 0 else points[(after + p - 1) % count, d]
+            out[p, d] = first[0, d] if p == 0 else points[at, d]
+        at = at if p == 0 else at + 1
+        at = 0 if at == count else at
     return out
 
 

@@ -242,6 +242,19 @@ def covariance_of(before: Array, after: Array, weight: Array) -> tuple[Array, Ar
 
 
 @compiled
+def spread_of(points: Array) -> float:
+    """Return the mean square distance of points ``(N, D)`` from their mean."""
+    count, total = len(points), 0.0
+    for d in range(points.shape[1]):
+        middle = 0.0
+        for n in range(count):
+            middle += points[n, d] / count
+        for n in range(count):
+            total += (points[n, d] - middle) ** 2 / count
+    return total
+
+
+@compiled
 def moved_rigidly(points: Array, before: Array, after: Array, weight: Array) -> Array:
     """Return points ``(P, D)`` after the rigid motion that takes others ``(N, D)`` nearest to where they are now.
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.polyline import arc_length, closed, even_around, interpolate
-from shape_obs.geometry.rotation import covariance_of, laid_flat, largest_trace, moved_rigidly, similarity
+from shape_obs.geometry.rotation import laid_flat, largest_trace, moved_rigidly, similarity, spread_of
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -182,7 +182,7 @@ def nearest_places(line: Array, points: Array) -> tuple[Array, Array, Mask]:
 
 @compiled
 def complete_outline(
-    points: Array, form: Array, cut: Mask, known: Array, expected: Array, model: Any
+    points: Array, space: Array, cut: Mask, known: Array, expected: Array, model: Any
 ) -> tuple[Array, int, float]:
     """Return a closed curve of which a part is hidden with that part put back.
 
@@ -191,7 +191,7 @@ def complete_outline(
 
     Args:
         points: ``(P, 2)`` pixels, the outline of what is seen.
-        form: ``(P, D)`` the same where its form is known: in pixels, or in metres.
+        space: ``(P, 3)`` the same in metres; ``(0, 3)`` if its form is known in pixels.
         cut: ``(P,)`` whether it is not the object's own there.
         known: ``(K, D)`` equally spaced around the outline as it was, wherever it was.
         expected: ``(L, 2)`` pixels, equally spaced around it where it is expected.
@@ -201,15 +201,16 @@ def complete_outline(
         ``(Q, D)`` the whole form, first what is seen of it, ``(0, D)`` if that is too little; how many points that are;
         the arc position at which the known outline begins.
     """
+    form = space if len(space) > 0 else points
     nothing, (first, size), trimmed = (np.empty((0, form.shape[1])), 0, 0.0), _longest_own(cut), int(model.trimmed)
     first, size = first + trimmed, size - 2 * trimmed
     if size < _FEWEST:
         return nothing
-    own = np.empty((size, form.shape[1]))
+    piece = np.empty((size, form.shape[1]))
     for p in range(size):
         for d in range(form.shape[1]):
-            own[p, d] = form[(first + p) % len(form), d]
-    arc, ring = arc_length(own), closed(known)
+            piece[p, d] = form[(first + p) % len(form), d]
+    arc, ring = arc_length(piece), closed(known)
     along = arc_length(ring)
     length, whole = arc[-1], along[-1]
     if not model.min_seen * whole < length < whole:
@@ -219,37 +220,37 @@ def complete_outline(
         p = int(np.rint(n * ((size - 1) / (_SAMPLES - 1))))
         at[n] = arc[p]
         for d in range(form.shape[1]):
-            some[n, d] = own[p, d]
+            some[n, d] = piece[p, d]
         for d in range(2):
             pixels[n, d] = points[(first + p) % len(points), d]
-    places, around = closed(expected), np.empty(len(expected) + 1)
-    for k in range(len(around)):
-        around[k] = k / len(expected) * whole
+    places, own, spread = closed(expected), _SAMPLES * spread_of(some), _SAMPLES * spread_of(pixels)
     step, begin, least = whole / _STARTS, 0.0, np.inf
     for k in range(_STARTS):
-        off = _misfit(k * step, at, some, pixels, ring, along, places, around, model)
+        off = _misfit(k * step, at, some, pixels, ring, along, places, own, spread, model)
         begin, least = (k * step, off) if off < least else (begin, least)
     for _ in range(2):
         middle = begin
         for k in range(-_FINER, _FINER + 1):
             start = middle + k / _FINER * step
-            off = _misfit(start, at, some, pixels, ring, along, places, around, model)
+            off = _misfit(start, at, some, pixels, ring, along, places, own, spread, model)
             begin, least = (start, off) if off < least else (begin, least)
         step /= _FINER
     steps = max(int(np.rint((whole - length) / (length / size))), 2)
     hidden = np.empty(steps + 1)  # from the last point that is seen to the first
     for k in range(steps + 1):
         hidden[k] = (begin + length + (whole - length) * k / steps) % whole
-    pattern = interpolate(ring, along, _around(at, begin, whole))
+    for n in range(_SAMPLES):
+        at[n] = (at[n] + begin) % whole
+    pattern = interpolate(ring, along, at)
     back = moved_rigidly(interpolate(ring, along, hidden), pattern, some, np.ones(_SAMPLES))
     out = np.empty((size + steps - 1, form.shape[1]))
     for q in range(len(out)):
         for d in range(form.shape[1]):
             if q < size:
-                out[q, d] = own[q, d]
+                out[q, d] = piece[q, d]
             else:
                 share = (q - size + 1) / steps
-                gap = (1 - share) * (own[size - 1, d] - back[0, d]) + share * (own[0, d] - back[steps, d])
+                gap = (1 - share) * (piece[size - 1, d] - back[0, d]) + share * (piece[0, d] - back[steps, d])
                 out[q, d] = back[q - size + 1, d] + gap
     return out, size, -begin
 
@@ -269,20 +270,11 @@ def _longest_own(cut: Mask) -> tuple[int, int]:
 
 
 @compiled
-def _around(stations: Array, begin: float, whole: float) -> Array:
-    """Return places along a closed curve of a length that begins elsewhere: ``(N,)`` -> ``(N,)``."""
-    out = np.empty_like(stations)
-    for n in range(len(stations)):
-        out[n] = (stations[n] + begin) % whole
-    return out
-
-
-@compiled
 def _misfit(
-    begin: float, at: Array, some: Array, pixels: Array, ring: Array, along: Array, places: Array, around: Array,
-    model: Any,
+    begin: float, at: Array, some: Array, pixels: Array, ring: Array, along: Array, places: Array, own: float,
+    spread: float, model: Any,
 ) -> float:  # fmt: skip
-    """Return by how much what is seen misses the piece of the known outline from a place on, squared and relative.
+    """Return by how much what is seen misses the piece of the known outline from a place on, but for a constant.
 
     Args:
         begin: The place.
@@ -291,23 +283,34 @@ def _misfit(
         pixels: ``(N, 2)`` the same in the image.
         ring: ``(K + 1, D)`` the known outline.
         along: ``(K + 1,)`` its arc length.
-        places: ``(L + 1, 2)`` pixels, where it is expected.
-        around: ``(L + 1,)`` how far along the known outline these are.
+        places: ``(L + 1, 2)`` pixels, equally spaced around it where it is expected.
+        own: Sum of the squares of the points about their mean.
+        spread: The same in the image.
         model: The constants, one ``RingModel``.
     """
-    at, even = _around(at, begin, along[-1]), np.ones(len(at))
-    pattern, place = interpolate(ring, along, at), interpolate(places, around, at)
-    covariance, before, after = covariance_of(pattern, some, even)
-    own = other = away = spread = 0.0
-    for d in range(some.shape[1]):
-        for n in range(len(some)):
-            own += (some[n, d] - after[d]) ** 2
-            other += (pattern[n, d] - before[d]) ** 2
-    for d in range(2):
-        spread += len(pixels) * np.var(pixels[:, d])
-        for n in range(len(pixels)):
-            away += (place[n, d] - pixels[n, d]) ** 2
-    return (own + other - 2 * largest_trace(covariance)) / own + model.place_cost * away / spread
+    count, size, whole, last, i = len(at), some.shape[1], along[-1], len(places) - 1, 0
+    pattern, covariance, other, away = np.empty((size, count)), np.empty((size, size)), 0.0, 0.0
+    for n in range(count):
+        here = (at[n] + begin) % whole
+        i = i if along[i] <= here else 0
+        while along[i + 1] < here:
+            i += 1
+        share = (here - along[i]) / (along[i + 1] - along[i])
+        for d in range(size):
+            pattern[d, n] = ring[i, d] + share * (ring[i + 1, d] - ring[i, d])
+        j = min(int(here / whole * last), last - 1)
+        share = here / whole * last - j
+        for d in range(2):
+            away += (places[j, d] + share * (places[j + 1, d] - places[j, d]) - pixels[n, d]) ** 2
+    for d in range(size):
+        row = pattern[d] - pattern[d].mean()
+        for e in range(size):
+            covariance[d, e] = 0.0
+            for n in range(count):
+                covariance[d, e] += row[n] * some[n, e]
+        for n in range(count):
+            other += row[n] * row[n]
+    return (other - 2 * largest_trace(covariance)) / own + model.place_cost * away / spread
 
 
 @compiled

@@ -18,72 +18,79 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.geometry.outline import unround, wave_table, waves
 from shape_obs.geometry.polyline import arc_length, closed, even_around, starting_at
-from shape_obs.geometry.rotation import largest_trace, moved_rigidly
+from shape_obs.geometry.rotation import largest_trace, moved_rigidly, spread_of
 from shape_obs.tracking.model import gain_of
 
 Array = npt.NDArray[np.float64]
-#: A closed curve from where it begins: points ``(P, D)``; the same where its form is known ``(P, D')``; arc length of
-#: the points ``(P + 1,)``; nodes ``(K, D)`` on them, equally spaced by form; the same as its form is known ``(K, D')``.
+#: A closed curve from where it begins: points ``(P, D)``; the same in metres ``(P, 3)``, ``(0, 3)`` if its form is that
+#: of the points; their arc length ``(P + 1,)``; nodes on them, equally spaced by form ``(K, D)``; the form's own nodes.
 Begun = tuple[Array, Array, Array, Array, Array]
 
 _HARMONICS: Final = 12  # waves around the outline that are compared: on a noisy circle more of them mislead
 _SHIFTS: Final = 128  # at which a peak is looked for, ten to the shortest wave
 _PEAKS: Final = (0.5 / _SHIFTS, 0.1 / _SHIFTS)  # turns: half-widths of the parabolas through it, one after the other
 _ANGLES = 2 * np.pi * np.outer(np.arange(_SHIFTS) / _SHIFTS, np.arange(1, _HARMONICS + 1))  # radians
-_WAVES: Final = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)  # (128, 2, 12) cosines and sines at each shift
+_COS, _SIN = np.ascontiguousarray(np.cos(_ANGLES.T)), np.ascontiguousarray(np.sin(_ANGLES.T))  # (12, 128)
 _STEPS: Final = 5  # of Gauss-Newton
 _COMPARED: Final = 48  # of the nodes, at least
 
 
 @compiled
 def register_ring(
-    points: Array, form: Array, reference: Array, predicted: Array, resolution: float, lasted: float, model: Any
+    points: Array, space: Array, reference: Array, predicted: Array, resolution: float, lasted: float, model: Any
 ) -> tuple[Array, Array, Array, Array, Array, float]:
     """Renumber an outline from where it began before.
 
     Args:
         points: ``(P, D)``.
-        form: ``(P, D')`` the same in the space in which its form is known: the image, or metres.
-        reference: ``(K, D')`` equidistant around the outline as it was, wherever it was.
+        space: ``(P, 3)`` the same in metres; ``(0, 3)`` if its form is that of the points.
+        reference: ``(K, D')`` equidistant around its form as it was, wherever it was.
         predicted: ``(K, D)`` the same nodes where they are expected.
         resolution: Of the points.
         lasted: Seconds for which this frame counts.
         model: The constants, one ``RingModel``.
 
     Returns:
-        Points, form, arc length and nodes, see ``Begun``; the reference as it is known now; how far the turning can be
+        Points, space, arc length and nodes, see ``Begun``; the reference as it is known now; how far the turning can be
         believed, 0...1.
     """
-    count, around, in_space = len(predicted), closed(form), form.shape[1] == 3
-    arc = arc_length(around)
-    found, seen = even_around(around, arc, 0.0, count), even_around(closed(points), arc, 0.0, count)
+    count, around = len(predicted), closed(points)
+    line = closed(space) if len(space) > 0 else around
+    arc = arc_length(line)
+    found = even_around(line, arc, 0.0, count)
+    seen = even_around(around, arc, 0.0, count) if len(space) > 0 else found
     shift, turning = index_shift(reference, predicted, found, seen, resolution, model)
-    points, form, arc, nodes, places = begin_outline(points, form, shift * (arc[-1] / count), count)
+    points, space, arc, nodes, places = begin_outline(points, space, shift * (arc[-1] / count), count)
     # What a hand hides slowly is not forgotten; with depth, the hand is seen.
-    most = np.inf if in_space else model.max_outline_change * lasted
+    most = np.inf if reference.shape[1] == 3 else model.max_outline_change * lasted
     known = blend(reference, places, gain_of(lasted, model.outline_memory), most)
-    return points, form, arc, nodes, known, turning
+    return points, space, arc, nodes, known, turning
 
 
 @compiled("(f8[:,::1], f8[:,::1], f8, i8)")
-def begin_outline(points: Array, form: Array, start: float, count: int) -> Begun:
+def begin_outline(points: Array, space: Array, start: float, count: int) -> Begun:
     """Let an outline begin elsewhere, with its nodes equally spaced by its form.
 
     Args:
         points: ``(P, D)``.
-        form: ``(P, D')`` the same in the space in which its form is known.
-        start: Arc position of the first point there.
+        space: ``(P, 3)`` the same in metres; ``(0, 3)`` if its form is that of the points.
+        start: Arc position of the first point by its form.
         count: How many nodes.
 
     Returns:
         See ``Begun``.
     """
-    arc = arc_length(closed(form))
-    points, form = starting_at(points, arc, start), starting_at(form, arc, start)
-    around, line = closed(points), closed(form)
-    arc = arc_length(line)
-    nodes, places = even_around(around, arc, 0.0, count), even_around(line, arc, 0.0, count)
-    return points, form, arc_length(around), nodes, places
+    known = arc_length(closed(space if len(space) > 0 else points))
+    points = starting_at(points, known, start)
+    around = closed(points)
+    arc = arc_length(around)
+    if len(space) == 0:
+        nodes = even_around(around, arc, 0.0, count)
+        return points, space, arc, nodes, nodes
+    space = starting_at(space, known, start)
+    line = closed(space)
+    metres = arc_length(line)
+    return points, space, arc, even_around(around, metres, 0.0, count), even_around(line, metres, 0.0, count)
 
 
 @compiled("(f8[:,::1], f8[::1], f8[::1])")
@@ -130,25 +137,22 @@ def index_shift(
     shape = _cross_spectrum(before, after)
     place = _traced(_cross_spectrum(waves(predicted, cos, sin), waves(seen, cos, sin)))
     flat, turning = place_weight(predicted, min(unround(before), unround(after)), resolution, model)
-    score, at, best, expected, nearest = np.empty(_SHIFTS), 0, -np.inf, 0, -np.inf
+    turned, still, score = _turned_by_shifts(shape), _over_shifts(place), np.empty(_SHIFTS)
+    at, best = 0, -np.inf
     for s in range(_SHIFTS):
-        turned, still = _turned(shape, _WAVES[s]), _stayed(place, _WAVES[s])
-        match, score[s] = turned + model.start_weight * still, turned + flat * still
+        match, score[s] = turned[s] + model.start_weight * still[s], turned[s] + flat * still[s]
         at, best = (s, match) if match > best else (at, best)
-        expected, nearest = (s, still) if still > nearest else (expected, nearest)
     while max(score[at - 1], score[(at + 1) % _SHIFTS]) > score[at]:
         at = (at - 1 if score[at - 1] >= score[(at + 1) % _SHIFTS] else at + 1) % _SHIFTS
     turns = at / _SHIFTS
     for width in _PEAKS:
-        behind, here, ahead = _wave(turns - width), _wave(turns), _wave(turns + width)
-        low = _turned(shape, behind) + flat * _stayed(place, behind)
-        middle = _turned(shape, here) + flat * _stayed(place, here)
-        turns += width * _peak(low, middle, _turned(shape, ahead) + flat * _stayed(place, ahead))
+        low, middle = _match(shape, place, flat, turns - width), _match(shape, place, flat, turns)
+        turns += width * _peak(low, middle, _match(shape, place, flat, turns + width))
     if reference.shape[1] == 2:
         return turns * count, turning
-    low, middle = _stayed(place, _WAVES[expected - 1]), _stayed(place, _WAVES[expected])
-    stay = (expected + _peak(low, middle, _stayed(place, _WAVES[(expected + 1) % _SHIFTS]))) / _SHIFTS
-    return _without_bends(before, after, cos, sin, turns * count, stay * count, flat, model), turning
+    expected = int(np.argmax(still))
+    stay = expected + _peak(still[expected - 1], still[expected], still[(expected + 1) % _SHIFTS])
+    return _without_bends(before, after, cos, sin, turns * count, stay / _SHIFTS * count, flat, model), turning
 
 
 @compiled
@@ -164,12 +168,9 @@ def blend(reference: Array, found: Array, gain: float, most: float) -> Array:
 
     No coordinate moves by more than a share of the radius.
     """
-    out, count = moved_rigidly(reference, reference, found, np.ones(len(found))), len(found)
-    square = 0.0
-    for d in range(found.shape[1]):
-        square += np.var(reference[:, d])
-    most *= math.sqrt(square)
-    for k in range(count):
+    out = moved_rigidly(reference, reference, found, np.ones(len(found)))
+    most *= math.sqrt(spread_of(reference))
+    for k in range(len(found)):
         for d in range(found.shape[1]):
             out[k, d] += max(-most, min(gain * (found[k, d] - out[k, d]), most))
     return out
@@ -191,10 +192,7 @@ def place_weight(predicted: Array, contrast: float, resolution: float, model: An
     Returns:
         The weight, relative to a match of 1; 0...1.
     """
-    square = 0.0
-    for d in range(predicted.shape[1]):
-        square += np.var(predicted[:, d])
-    small = resolution**2 / max(square, 1e-18)
+    small = resolution**2 / max(spread_of(predicted), 1e-18)
     flat, noise = model.place_weight[0] + model.place_weight[1] * small, model.staircase * small
     return flat / (1 + contrast / flat), 1 / (1 + (noise / max(contrast, 1e-9 * noise)) ** 2)
 
@@ -308,28 +306,40 @@ def _traced(spectrum: Array) -> Array:
 
 
 @compiled
-def _wave(turns: float) -> Array:
-    """Return the waves at a shift, in turns: ``(2, H)`` cosines and sines."""
-    out = np.empty((2, _HARMONICS))
+def _over_shifts(spectrum: Array) -> Array:
+    """Return the values of a spectrum ``(2, H)`` at all shifts: ``(S,)``."""
+    out = np.zeros(_SHIFTS)
     for h in range(_HARMONICS):
-        out[0, h], out[1, h] = math.cos(2 * math.pi * turns * (h + 1)), math.sin(2 * math.pi * turns * (h + 1))
+        a, b, cos, sin = spectrum[0, h], spectrum[1, h], _COS[h], _SIN[h]
+        for s in range(_SHIFTS):
+            out[s] += a * cos[s] + b * sin[s]
     return out
 
 
 @compiled
-def _turned(spectrum: Array, wave: Array) -> float:
-    """Return how well forms match at the shift of a wave, after the best proper rotation."""
-    covariance = np.empty(spectrum.shape[:2])
-    for d in range(len(spectrum)):
-        for e in range(len(spectrum)):
-            covariance[d, e] = _stayed(spectrum[d, e], wave)
-    return largest_trace(covariance)
+def _turned_by_shifts(spectrum: Array) -> Array:
+    """Return how well forms match at all shifts, ``(S,)``, after the best proper rotation."""
+    size = len(spectrum)
+    covariances, out = np.empty((_SHIFTS, size, size)), np.empty(_SHIFTS)
+    for d in range(size):
+        for e in range(size):
+            values = _over_shifts(spectrum[d, e])
+            for s in range(_SHIFTS):
+                covariances[s, d, e] = values[s]
+    for s in range(_SHIFTS):
+        out[s] = largest_trace(covariances[s])
+    return out
 
 
-@compiled(reassociate=True)
-def _stayed(spectrum: Array, wave: Array) -> float:
-    """Return the value of a spectrum ``(2, H)`` at the shift of a wave; of a trace, how well places match unturned."""
-    total = 0.0
+@compiled
+def _match(shape: Array, place: Array, flat: float, turns: float) -> float:
+    """Return how well two outlines match at one shift, in turns: their forms, and a little their places."""
+    step, size, still = complex(math.cos(2 * math.pi * turns), math.sin(2 * math.pi * turns)), len(shape), 0.0
+    wave, covariance = step, np.zeros((size, size))
     for h in range(_HARMONICS):
-        total += spectrum[0, h] * wave[0, h] + spectrum[1, h] * wave[1, h]
-    return total
+        for d in range(size):
+            for e in range(size):
+                covariance[d, e] += shape[d, e, 0, h] * wave.real + shape[d, e, 1, h] * wave.imag
+        still += place[0, h] * wave.real + place[1, h] * wave.imag
+        wave *= step
+    return largest_trace(covariance) + flat * still

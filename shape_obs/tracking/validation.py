@@ -170,35 +170,30 @@ def ring_miss(samples: Array, unit: npt.NDArray[Any], curve: Array, pieces: int)
     Each sample is near its node ``unit``; there are ``pieces`` points of the curve to a node. About 256 of the samples
     are measured.
     """
-    size, last = len(curve), curve.shape[1] - 1
-    deep = float(last - 1)  # in the plane all is at depth 0
-    step = 0.0
+    size, dimension, step = len(curve), curve.shape[1], 0.0
     for p in range(size):
-        after = p + 1 if p < size - 1 else 0
-        square = deep * (curve[after, last] - curve[p, last]) ** 2
-        step += math.sqrt((curve[after, 0] - curve[p, 0]) ** 2 + (curve[after, 1] - curve[p, 1]) ** 2 + square) / size
+        square = 0.0
+        for d in range(dimension):
+            square += (curve[p, d] - curve[p - 1, d]) ** 2
+        step += math.sqrt(square) / size
     skip = (len(samples) + _JUDGED_AROUND - 1) // _JUDGED_AROUND
     total, judged = 0.0, 0
     for m in range(0, len(samples), skip):
         p, least = 0, np.inf
         at = (unit[m] * pieces - _NEAR) % size
         for _ in range(2 * _NEAR + 1):
-            u, v, w = (
-                samples[m, 0] - curve[at, 0],
-                samples[m, 1] - curve[at, 1],
-                deep * (samples[m, last] - curve[at, last]),
-            )
-            square = u * u + v * v + w * w
+            u, v = samples[m, 0] - curve[at, 0], samples[m, 1] - curve[at, 1]
+            square = u * u + v * v
+            for d in range(2, dimension):
+                square += (samples[m, d] - curve[at, d]) ** 2
             p, least = (at, square) if square < least else (p, least)
             at = at + 1 if at < size - 1 else 0
-        before, after = p - 1 if p else size - 1, p + 1 if p < size - 1 else 0
-        reach = along = 0.0
-        for d in range(last + 1):
-            tangent = curve[after, d] - curve[before, d]
+        after, reach, along = p + 1 if p < size - 1 else 0, 0.0, 0.0
+        for d in range(dimension):
+            tangent = curve[after, d] - curve[p - 1, d]
             reach += tangent * tangent
             along += tangent * (samples[m, d] - curve[p, d])
         along = abs(along) / max(math.sqrt(reach), 1e-9)
-        beyond = max(along - step, 0.0)
-        total += math.sqrt(max(least - along * along, 0.0) + beyond * beyond)
+        total += math.sqrt(max(least - along * along, 0.0) + max(along - step, 0.0) ** 2)
         judged += 1
     return total / judged
