@@ -131,7 +131,7 @@ def largest_trace(covariance: Array) -> float:
     """
     a, square, minors, determinant = covariance, 0.0, 0.0, 0.0
     if len(a) == 2:
-        return math.hypot(a[0, 0] + a[1, 1], a[0, 1] - a[1, 0])
+        return math.sqrt((a[0, 0] + a[1, 1]) ** 2 + (a[0, 1] - a[1, 0]) ** 2)
     for i in range(3):
         for j in range(3):
             p, q, r, s = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
@@ -231,13 +231,15 @@ def covariance_of(before: Array, after: Array, weight: Array) -> tuple[Array, Ar
     count, size = before.shape
     covariance, first, second, whole = np.zeros((size, size)), np.zeros(size), np.zeros(size), weight.sum()
     for n in range(count):
+        share = weight[n] / whole
         for a in range(size):
-            first[a] += weight[n] / whole * before[n, a]
-            second[a] += weight[n] / whole * after[n, a]
+            first[a] += share * before[n, a]
+            second[a] += share * after[n, a]
     for n in range(count):
         for a in range(size):
+            away = weight[n] * (before[n, a] - first[a])
             for b in range(size):
-                covariance[a, b] += weight[n] * (before[n, a] - first[a]) * (after[n, b] - second[b])
+                covariance[a, b] += away * (after[n, b] - second[b])
     return covariance, first, second
 
 
@@ -248,10 +250,10 @@ def spread_of(points: Array) -> float:
     for d in range(points.shape[1]):
         middle = 0.0
         for n in range(count):
-            middle += points[n, d] / count
+            middle += points[n, d]
         for n in range(count):
-            total += (points[n, d] - middle) ** 2 / count
-    return total
+            total += (points[n, d] - middle / count) ** 2
+    return total / count
 
 
 @compiled

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.clustering.som import batch_epochs, best_matching_units, run_ring_som
+from shape_obs.clustering.som import batch_epochs, run_ring_som
 from shape_obs.compiled import compiled
 from shape_obs.geometry.outline import SAMPLED, enclosed_by, pairs
 from shape_obs.geometry.polyline import arc_length, catmull_rom, closed, even_around
@@ -83,9 +83,8 @@ def fit_ring_in_mask(points: Array, smooth: Array, start: Array, count: int, sig
         ``(count * 4, 2)`` the closed curve, and how far the outline misses it, in distances of its samples.
     """
     samples = pairs(points)
-    nodes, unit = run_ring_som(samples, smooth, start, count, sigma)
-    curve = catmull_rom(nodes, _PIECES, True)
-    return curve, ring_miss(samples, unit, curve, _PIECES) / SAMPLED
+    curve = catmull_rom(run_ring_som(samples, smooth, start, count, sigma), _PIECES, True)
+    return curve, ring_miss(samples, curve) / SAMPLED
 
 
 @compiled("(f8[:,::1], f8[::1], f8, f8[:,::1], f8[::1], i8, f8)")
@@ -118,7 +117,7 @@ def fit_ring_in_cloud(
     near = np.exp(-0.5 / sigma**2)
     nodes = undo_shrinkage(nodes, 1 / 24 + near / (1 + 2 * near), True)
     curve = catmull_rom(nodes, _PIECES, True)
-    return curve, ring_miss(points, best_matching_units(points, nodes), curve, _PIECES) / scale
+    return curve, ring_miss(points, curve) / scale
 
 
 @compiled

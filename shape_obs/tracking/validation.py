@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,6 @@ Array = npt.NDArray[np.float64]
 
 _JUDGED: Final = 150  # samples are enough to measure how far a mask spreads about a curve
 _JUDGED_AROUND: Final = 256  # samples are enough to measure by how much an outline is missed
-_NEAR: Final = 6  # points of a curve, within which the nearest to a sample lies
 FOLDED: Final = "the gaps between the points differ in space: the sheet is folded or crumpled"
 
 
@@ -164,36 +163,27 @@ def sample_spread(points: Array, weight: Array, curve: Array) -> float:
 
 
 @compiled
-def ring_miss(samples: Array, unit: npt.NDArray[Any], curve: Array, pieces: int) -> float:
+def ring_miss(samples: Array, curve: Array) -> float:
     """Return the mean distance of ``(M, D)`` samples from the tangents of a closed curve ``(P, D)``.
 
-    Each sample is near its node ``unit``; there are ``pieces`` points of the curve to a node. About 256 of the samples
-    are measured.
+    About 256 of the samples are measured.
     """
-    size, dimension, step = len(curve), curve.shape[1], 0.0
+    size, dimension, skip, step = len(curve), curve.shape[1], -(-len(samples) // _JUDGED_AROUND), 0.0
     for p in range(size):
         square = 0.0
         for d in range(dimension):
             square += (curve[p, d] - curve[p - 1, d]) ** 2
         step += math.sqrt(square) / size
-    skip = (len(samples) + _JUDGED_AROUND - 1) // _JUDGED_AROUND
-    total, judged = 0.0, 0
-    for m in range(0, len(samples), skip):
-        p, least = 0, np.inf
-        at = (unit[m] * pieces - _NEAR) % size
-        for _ in range(2 * _NEAR + 1):
-            u, v = samples[m, 0] - curve[at, 0], samples[m, 1] - curve[at, 1]
-            square = u * u + v * v
-            for d in range(2, dimension):
-                square += (samples[m, d] - curve[at, d]) ** 2
-            p, least = (at, square) if square < least else (p, least)
-            at = at + 1 if at < size - 1 else 0
-        after, reach, along = p + 1 if p < size - 1 else 0, 0.0, 0.0
+    some, total = np.ascontiguousarray(samples[::skip]), 0.0
+    nearest = best_matching_units(some, curve)
+    for m in range(len(some)):
+        p = nearest[m]
+        after, square, reach, along = (p + 1) % size, 0.0, 0.0, 0.0
         for d in range(dimension):
-            tangent = curve[after, d] - curve[p - 1, d]
+            tangent, offset = curve[after, d] - curve[p - 1, d], some[m, d] - curve[p, d]
+            square += offset * offset
             reach += tangent * tangent
-            along += tangent * (samples[m, d] - curve[p, d])
+            along += tangent * offset
         along = abs(along) / max(math.sqrt(reach), 1e-9)
-        total += math.sqrt(max(least - along * along, 0.0) + max(along - step, 0.0) ** 2)
-        judged += 1
-    return total / judged
+        total += math.sqrt(max(square - along * along, 0.0) + max(along - step, 0.0) ** 2)
+    return total / len(some)
