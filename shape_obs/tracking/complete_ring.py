@@ -21,7 +21,6 @@ Mask = npt.NDArray[np.bool_]
 
 _STEPS: Final = 8  # of the search for where the known outline is
 _LEAST_NODES: Final = 64  # at which outlines are compared
-_FEWEST: Final = 8  # points of a visible piece
 _SAMPLES: Final = 64  # of a visible piece, that are compared with the known outline
 _STARTS: Final = 128  # at which the piece may begin, before these are refined
 _FINER: Final = 4  # times: how much closer the places are that are tried next, to either side of the best one
@@ -204,7 +203,7 @@ def complete_outline(
     form = space if len(space) > 0 else points
     nothing, (first, size), trimmed = (np.empty((0, form.shape[1])), 0, 0.0), _longest_own(cut), int(model.trimmed)
     first, size = first + trimmed, size - 2 * trimmed
-    if size < _FEWEST:
+    if size < 2:
         return nothing
     piece = np.empty((size, form.shape[1]))
     for p in range(size):

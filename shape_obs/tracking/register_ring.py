@@ -220,7 +220,7 @@ def _without_bends(
         model: The constants, one ``RingModel``.
     """
     count = cos.shape[1]
-    first, most, every = shift, model.max_refinement * count, max(count // _COMPARED, 1)
+    every = max(count // _COMPARED, 1)
     cos, sin = cos[:, ::every] * (2 / count), sin[:, ::every] * (2 / count)
     some = _drawn(reference, cos, sin)
     weight, moved, ahead, off = np.ones(len(some)), np.empty_like(found), np.empty_like(found), np.empty_like(some)
@@ -258,7 +258,7 @@ def _without_bends(
         for i in range(7):
             normal[i, i] += 1e-12
         step = -np.linalg.solve(normal, slope)[0]
-        shift = min(max(shift + min(max(step, -1.0), 1.0), first - most), first + most)
+        shift += min(max(step, -1.0), 1.0)
     return shift
 
 
@@ -319,8 +319,13 @@ def _over_shifts(spectrum: Array) -> Array:
 @compiled
 def _turned_by_shifts(spectrum: Array) -> Array:
     """Return how well forms match at all shifts, ``(S,)``, after the best proper rotation."""
-    size = len(spectrum)
-    covariances, out = np.empty((_SHIFTS, size, size)), np.empty(_SHIFTS)
+    size, out = len(spectrum), np.empty(_SHIFTS)
+    if size == 2:  # the sum of both singular values, the lesser one negative for a reflection
+        along, across = _over_shifts(_traced(spectrum)), _over_shifts(spectrum[0, 1] - spectrum[1, 0])
+        for s in range(_SHIFTS):
+            out[s] = math.sqrt(along[s] ** 2 + across[s] ** 2)
+        return out
+    covariances = np.empty((_SHIFTS, size, size))
     for d in range(size):
         for e in range(size):
             values = _over_shifts(spectrum[d, e])
