@@ -131,11 +131,11 @@ def index_shift(
     Returns:
         Places; fractions of a place too. And how far a turning can be believed, 0...1.
     """
-    count = len(found)
+    count, in_space = len(found), reference.shape[1] == 3
     cos, sin = wave_table(count, _HARMONICS)
     before, after = waves(reference, cos, sin), waves(found, cos, sin)
     shape = _cross_spectrum(before, after)
-    place = _traced(_cross_spectrum(waves(predicted, cos, sin), waves(seen, cos, sin)))
+    place = _traced(_cross_spectrum(waves(predicted, cos, sin), waves(seen, cos, sin) if in_space else after))
     flat, turning = place_weight(predicted, min(unround(before), unround(after)), resolution, model)
     turned, still, score = _turned_by_shifts(shape), _over_shifts(place), np.empty(_SHIFTS)
     at, best = 0, -np.inf
@@ -148,7 +148,7 @@ def index_shift(
     for width in _PEAKS:
         low, middle = _match(shape, place, flat, turns - width), _match(shape, place, flat, turns)
         turns += width * _peak(low, middle, _match(shape, place, flat, turns + width))
-    if reference.shape[1] == 2:
+    if not in_space:
         return turns * count, turning
     expected = int(np.argmax(still))
     stay = expected + _peak(still[expected - 1], still[expected], still[(expected + 1) % _SHIFTS])
