@@ -29,7 +29,7 @@ from shape_obs.image.region import Region
 from shape_obs.tracking.measure_ring import MIN_SAMPLES, fit_ring_in_cloud, nodes_around
 from shape_obs.tracking.model import RingModel
 from shape_obs.tracking.predict import Fit, Prediction
-from shape_obs.tracking.register_ring import begin_outline, first_place
+from shape_obs.tracking.register_ring import first_place
 from shape_obs.tracking.step_ring import FOUND, NO_HOLE, NOT_HOLLOW, TOO_SMALL, RingStep, follow_ring, step_ring_in_mask
 from shape_obs.tracking.validation import validate_outline
 
@@ -119,8 +119,7 @@ class Contour(Configuration, kind="contour"):
         if prediction is None:
             curve = FittedCurve.through(points, np.zeros(len(points), bool), True)
             curve = self.apply_index_order(curve, cloud.seen(points, target), target)
-            points, space, arc, nodes, _ = begin_outline(curve.points, _NOWHERE, 0.0, count)
-            found = points, space, arc, nodes, known, self.model.velocity_share, False
+            found = curve.points, _NOWHERE, curve.arc, curve.even(count), known, self.model.velocity_share, False
         else:
             found = follow_ring(
                 points, _NOWHERE, np.zeros(len(points), bool), nodes, known, cloud.resolution, _ANYWHERE,
@@ -160,7 +159,7 @@ class Contour(Configuration, kind="contour"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        clouds = nodes_around, fit_ring_in_cloud, follow_ring, begin_outline, arc_length, catmull_rom, interpolate
+        clouds = nodes_around, fit_ring_in_cloud, follow_ring, arc_length, catmull_rom, interpolate
         clustered = trace_hole, material_outline
         return step_ring_in_mask, *clouds, *clustered, first_place, starting_at, points_around
 

@@ -67,7 +67,7 @@ def register_ring(
     return points, space, arc, nodes, known, turning
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8, i8)")
+@compiled
 def begin_outline(points: Array, space: Array, start: float, count: int) -> Begun:
     """Let an outline begin elsewhere, with its nodes equally spaced by its form.
 
