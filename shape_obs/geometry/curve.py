@@ -148,17 +148,6 @@ class FittedCurve(FittedForm):
         """Return ``(count, D)`` places of equal arc length around a closed curve, from its first point on."""
         return self.at(np.arange(count) * (self.size / count))
 
-    def interpolated_at(self, arc: npt.ArrayLike) -> Mask:
-        """Return ``(N,)`` whether the nearer of the two neighbouring points is interpolated."""
-        if self.whole:
-            return np.zeros(np.shape(arc), bool)
-        return self.interpolated[self.nearest_to(arc)]
-
-    def nearest_to(self, arc: npt.ArrayLike) -> npt.NDArray[np.intp]:
-        """Return ``(N,)`` which point of the curve is nearest along it to each arc position."""
-        at = np.ascontiguousarray(arc, dtype=np.float64)
-        return nearest_along(self.arc, at % self.size if self.closed else at) % len(self.points)
-
     def starting_at(self, arc: float) -> FittedCurve:
         """Return the same closed curve, of which all was seen, with its first point at an arc position."""
         points = starting_at(self.points, self.arc, arc)

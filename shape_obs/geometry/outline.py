@@ -62,7 +62,7 @@ def clockwise(points: Array) -> bool:
     return bool(u[:-1] @ v[1:] >= v[:-1] @ u[1:])
 
 
-@compiled("(f8[:,::1],)")
+@compiled
 def enclosed_by(traced: Array) -> float:
     """Return how many pixels lie within an outline ``(P, 2)`` through the centres of border pixels, half of them."""
     area = 0.0
