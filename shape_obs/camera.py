@@ -295,15 +295,10 @@ def viewing_rays(pixels: npt.NDArray[np.float64], lens: npt.NDArray[np.float64])
         u, v = (pixels[n, 0] - lens[2]) / lens[0], (pixels[n, 1] - lens[3]) / lens[1]
         x, y, change = u, v, 0.0
         for _ in range(_MAX_ITERATIONS if lens[4] > 0 else 0):
-            r2 = x * x + y * y
-            radial = 1 + ((lens[9] * r2 + lens[6]) * r2 + lens[5]) * r2
+            radial, tangential_x, tangential_y = _distortion(x, y, lens)
             if radial == 0:
                 change = np.inf
                 break
-            scale = radial if lens[4] == _INVERSE else 1.0
-            a, b = scale * x, scale * y  # librealsense's tangential part acts on the radially distorted point
-            tangential_x = 2 * lens[7] * a * b + lens[8] * (r2 + 2 * a * a)
-            tangential_y = 2 * lens[8] * a * b + lens[7] * (r2 + 2 * b * b)
             next_x, next_y = (u - tangential_x) / radial, (v - tangential_y) / radial
             change = max(abs(next_x - x), abs(next_y - y))
             x, y = next_x, next_y
@@ -312,6 +307,47 @@ def viewing_rays(pixels: npt.NDArray[np.float64], lens: npt.NDArray[np.float64])
         found = change < _CONVERGED
         rays[n, 0], rays[n, 1], rays[n, 2] = (x, y, 1.0) if found else (np.nan, np.nan, np.nan)
     return rays
+
+
+@compiled
+def _distortion(x: float, y: float, lens: npt.NDArray[np.float64]) -> tuple[float, float, float]:
+    """Return by which factor a lens scales a place at z = 1, and what it adds to both of its coordinates."""
+    r2 = x * x + y * y
+    radial = 1 + ((lens[9] * r2 + lens[6]) * r2 + lens[5]) * r2
+    scale = radial if lens[4] == _INVERSE else 1.0
+    a, b = scale * x, scale * y  # librealsense's tangential part acts on the radially distorted point
+    across = 2 * lens[7] * a * b + lens[8] * (r2 + 2 * a * a)
+    return radial, across, 2 * lens[8] * a * b + lens[7] * (r2 + 2 * b * b)
+
+
+@compiled
+def projected(points: npt.NDArray[np.float64], lens: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the pixels ``(P, 2)`` of points ``(P, 3)``, metres, by ``Intrinsics.lens``; NaN behind the camera."""
+    out = np.full((len(points), 2), np.nan)
+    for p in range(len(points)):
+        if points[p, 2] > 0:
+            x, y = points[p, 0] / points[p, 2], points[p, 1] / points[p, 2]
+            radial, more_x, more_y = _distortion(x, y, lens) if lens[4] > 0 else (1.0, 0.0, 0.0)
+            out[p, 0] = (radial * x + more_x) * lens[0] + lens[2]
+            out[p, 1] = (radial * y + more_y) * lens[1] + lens[3]
+    return out
+
+
+@compiled
+def deprojected(
+    pixels: npt.NDArray[np.float64], z: npt.NDArray[np.float64], lens: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Return pixels ``(P, 2)`` in space, ``(P, 3)`` metres; ``(0, 3)`` without a lens, or if one is not known there."""
+    nothing = np.empty((0, 3))
+    if len(lens) == 0:
+        return nothing
+    points = viewing_rays(pixels, lens)
+    for p in range(len(points)):
+        for d in range(3):
+            points[p, d] *= z[p]
+            if not np.isfinite(points[p, d]):
+                return nothing
+    return points
 
 
 def as_camera_model(camera: CameraLike, size: tuple[int, int] | None = None) -> CameraModel | None:

@@ -33,7 +33,6 @@ from shape_obs.geometry.polyline import arc_length, closed, even_around
 from shape_obs.geometry.topology import Grid, Ring, Topology, undo_shrinkage
 
 Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
 
 _TRACE: Final = 1e-3  # of a mean bin's weight stays where a node is: an empty bin pulls it nowhere
 _RING_REACH: Final = 2  # nodes to either side among which a sample of an outline looks for its best-matching unit
@@ -213,7 +212,7 @@ def _solve_first(moments: Array, sums: Array) -> None:
 
 
 @compiled
-def run_ring_som(samples: Array, smooth: Array, start: Array, count: int, sigma: float) -> tuple[Array, Indices]:
+def run_ring_som(samples: Array, smooth: Array, start: Array, count: int, sigma: float) -> Array:
     """Fit a ring of nodes to an outline in one epoch.
 
     The nodes start at equal distances around the smoothed outline. Nodes and samples are both ordered, so a sample
@@ -228,7 +227,7 @@ def run_ring_som(samples: Array, smooth: Array, start: Array, count: int, sigma:
         sigma: Width of the neighbourhood, node units.
 
     Returns:
-        ``(K, 2)`` nodes, the pull of the averaging undone; ``(M,)`` the best-matching unit of each sample.
+        ``(K, 2)`` nodes, the pull of the averaging undone.
     """
     size = len(smooth)
     around = closed(smooth)
@@ -244,7 +243,6 @@ def run_ring_som(samples: Array, smooth: Array, start: Array, count: int, sigma:
         middle_u += nodes[k, 0]
         middle_v += nodes[k, 1]
     middle_u, middle_v = middle_u / count, middle_v / count
-    unit = np.empty(len(samples), np.int64)
     trace = _TRACE * size / count
     bins = np.zeros((count, 4))
     for k in range(count):
@@ -258,7 +256,6 @@ def run_ring_som(samples: Array, smooth: Array, start: Array, count: int, sigma:
         about = int(np.rint(((arc[first] + arc[last]) / 2 - begin) / gap))
         k = nearest_around(u, v, nodes, about, _RING_REACH)
         weight = last - first + 1
-        unit[m] = k
         bins[k, 0] += weight * u
         bins[k, 1] += weight * v
         bins[k, 3] += weight
@@ -268,7 +265,7 @@ def run_ring_som(samples: Array, smooth: Array, start: Array, count: int, sigma:
     for k in range(count):
         nodes[k, 0] += middle_u
         nodes[k, 1] += middle_v
-    return nodes, unit
+    return nodes
 
 
 @compiled

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.polyline import arc_length, interpolate, straightened
+from shape_obs.geometry.polyline import arc_length, interpolate, starting_at, straightened
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -129,30 +129,11 @@ class FittedCurve(FittedForm):
         """Return ``(count, D)`` places of equal arc length around a closed curve, from its first point on."""
         return self.at(np.arange(count) * (self.size / count))
 
-    def interpolated_at(self, arc: npt.ArrayLike) -> Mask:
-        """Return ``(N,)`` whether the nearer of the two neighbouring points is interpolated."""
-        if self.whole:
-            return np.zeros(np.shape(arc), bool)
-        return self.interpolated[self.nearest_to(arc)]
-
-    def nearest_to(self, arc: npt.ArrayLike) -> npt.NDArray[np.intp]:
-        """Return ``(N,)`` which point of the curve is nearest along it to each arc position."""
-        at = np.ascontiguousarray(arc, dtype=np.float64)
-        return nearest_along(self.arc, at % self.size if self.closed else at) % len(self.points)
-
     def starting_at(self, arc: float) -> FittedCurve:
-        """Return the same closed curve with its first point at an arc position."""
-        start, same = arc % self.size, 1e-9 * self.size
-        after = int(np.searchsorted(self.arc, start + same))
-        before = after - (start - self.arc[after - 1] <= same)  # the point that is there already
-        if after > len(self.points):
-            after, before = 1, 0
-        known = self.points if self.space is None else np.concatenate([self.points, self.space], axis=1)
-        first, size = interpolate(_polyline(known, True), self.arc, np.array([start])), self.points.shape[1]
-        points = np.concatenate([first, known[after:], known[:before]])
-        flags = np.concatenate([self.interpolated_at([start]), self.interpolated[after:], self.interpolated[:before]])
-        begun = self.with_geometry(np.ascontiguousarray(points[:, :size]), flags)
-        return begun if self.space is None else replace(begun, space=points[:, size:].copy())
+        """Return the same closed curve, of which all was seen, with its first point at an arc position."""
+        points = starting_at(self.points, self.arc, arc)
+        begun = self.with_geometry(points, np.zeros(len(points), bool))
+        return begun if self.space is None else replace(begun, space=starting_at(self.space, self.arc, arc))
 
     def smoothed(self, values: Array, known: Mask) -> Array:
         """Fill ``(P,)`` values by a straight line between the known ones, and smooth them over nine points."""

@@ -62,7 +62,7 @@ def clockwise(points: Array) -> bool:
     return bool(u[:-1] @ v[1:] >= v[:-1] @ u[1:])
 
 
-@compiled("(f8[:,::1],)")
+@compiled
 def enclosed_by(traced: Array) -> float:
     """Return how many pixels lie within an outline ``(P, 2)`` through the centres of border pixels, half of them."""
     area = 0.0
@@ -146,10 +146,11 @@ def wave_table(size: int, count: int) -> tuple[Array, Array]:
     cos, sin = np.empty((count, size)), np.empty((count, size))
     for k in range(size):
         cos[0, k], sin[0, k] = math.cos(2 * math.pi * k / size), math.sin(2 * math.pi * k / size)
+    along, across = cos[0], sin[0]
     for h in range(1, count):
+        a, b, c, d = cos[h - 1], sin[h - 1], cos[h], sin[h]
         for k in range(size):
-            cos[h, k] = cos[h - 1, k] * cos[0, k] - sin[h - 1, k] * sin[0, k]
-            sin[h, k] = sin[h - 1, k] * cos[0, k] + cos[h - 1, k] * sin[0, k]
+            c[k], d[k] = a[k] * along[k] - b[k] * across[k], b[k] * along[k] + a[k] * across[k]
     return cos, sin
 
 

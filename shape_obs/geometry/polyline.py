@@ -197,6 +197,33 @@ def even_around(curve: Array, arc: Array, begin: float, count: int) -> Array:
     return interpolate(curve, arc, at)
 
 
+@compiled("(f8[:,::1], f8[::1], f8)")
+def starting_at(points: Array, arc: Array, start: float) -> Array:
+    """Return the points of a closed curve ``(P, D)`` from an arc position on, with a first one there: P or P + 1.
+
+    Args:
+        points: ``(P, D)``, the first one not repeated.
+        arc: ``(P + 1,)`` arc length, or any other measure along it, the last entry the whole.
+        start: The place.
+    """
+    count, whole = len(points), arc[-1]
+    same, start = 1e-9 * whole, start % whole
+    if start + same >= whole:
+        start = 0.0
+    after = 1
+    while arc[after] < start + same:
+        after += 1
+    before = after - 1 if start - arc[after - 1] <= same else after  # the point is there already
+    out, at = np.empty((1 + count - after + before, points.shape[1])), after
+    first = even_around(closed(points), arc, start, 1)
+    for p in range(len(out)):
+        for d in range(points.shape[1]):
+            out[p, d] = first[0, d] if p == 0 else points[at, d]
+        at = at if p == 0 else at + 1
+        at = 0 if at == count else at
+    return out
+
+
 @compiled
 def equal_chords(
     points: Array, arc: Array, metric: Array, metric_arc: Array, count: int, margin: float, max_shift: float

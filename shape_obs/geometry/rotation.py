@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -85,7 +85,7 @@ def fit(before: Array, after: Array, weight: Array | None = None, *, scaled: boo
 
 @compiled("(f8[:,::1],)")
 def best_rotation(covariance: Array) -> Array:
-    """Return the ``(3, 3)`` proper rotation R that makes the trace of R'A largest.
+    """Return the proper rotation R, ``(D, D)``, that makes the trace of R'A largest.
 
     With A the sum of the products of two sets of centred points, ``before.T @ after``, the points ``before @ R`` lie as
     near to ``after`` as a rotation can take them (W. Kabsch, Acta Cryst. A32, 1976). The singular vectors come from
@@ -93,8 +93,13 @@ def best_rotation(covariance: Array) -> Array:
     Biorthogonalization and Related Results", 1958), which small singular values survive.
 
     Args:
-        covariance: ``(3, 3)`` A.
+        covariance: ``(D, D)`` A; D is 2 or 3.
     """
+    if len(covariance) == 2:
+        along, across = covariance[0, 0] + covariance[1, 1], covariance[0, 1] - covariance[1, 0]
+        reach = math.hypot(along, across)
+        cosine, sine = (along / reach, across / reach) if reach > 0 else (1.0, 0.0)
+        return np.array([[cosine, sine], [-sine, cosine]])
     left, right = covariance.copy(), np.eye(3)
     size = _orthogonalized(left, right)
     first = int(np.argmax(size))
@@ -119,12 +124,14 @@ def best_rotation(covariance: Array) -> Array:
 
 @compiled
 def largest_trace(covariance: Array) -> float:
-    """Return the trace of R'A for the best proper rotation R of a ``(3, 3)`` matrix A, see ``best_rotation``.
+    """Return the trace of R'A for the best proper rotation R of a matrix A, see ``best_rotation``.
 
     It is the sum of the singular values, the least one negative if the determinant is. The square of the greatest is a
     root of a cubic, and the sum of the others follows from it, the determinant and the squares of the minors.
     """
     a, square, minors, determinant = covariance, 0.0, 0.0, 0.0
+    if len(a) == 2:
+        return math.sqrt((a[0, 0] + a[1, 1]) ** 2 + (a[0, 1] - a[1, 0]) ** 2)
     for i in range(3):
         for j in range(3):
             p, q, r, s = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
@@ -210,31 +217,67 @@ def _cross(rows: Array) -> None:
 
 
 @compiled
-def covariance_of(before: Array, after: Array) -> tuple[Array, Array, Array]:
-    """Return the sum of the products of two sets of points about their means, and both means.
+def covariance_of(before: Array, after: Array, weight: Array) -> tuple[Array, Array, Array]:
+    """Return the weighted sum of the products of two sets of points about their means, and both means.
 
     Args:
         before: ``(N, D)``.
         after: ``(N, D)``.
+        weight: ``(N,)``.
 
     Returns:
         ``(D, D)``, row a for coordinate a of the points before; ``(D,)``; ``(D,)``.
     """
     count, size = before.shape
-    covariance, first, second = np.zeros((size, size)), np.zeros(size), np.zeros(size)
+    covariance, first, second, whole = np.zeros((size, size)), np.zeros(size), np.zeros(size), weight.sum()
+    for n in range(count):
+        share = weight[n] / whole
+        for a in range(size):
+            first[a] += share * before[n, a]
+            second[a] += share * after[n, a]
     for n in range(count):
         for a in range(size):
-            first[a] += before[n, a] / count
-            second[a] += after[n, a] / count
-    for n in range(count):
-        for a in range(size):
+            away = weight[n] * (before[n, a] - first[a])
             for b in range(size):
-                covariance[a, b] += (before[n, a] - first[a]) * (after[n, b] - second[b])
+                covariance[a, b] += away * (after[n, b] - second[b])
     return covariance, first, second
 
 
 @compiled
-def similarity(before: Array, after: Array, among: npt.NDArray[np.bool_]) -> tuple[complex, complex, complex]:
+def spread_of(points: Array) -> float:
+    """Return the mean square distance of points ``(N, D)`` from their mean."""
+    count, total = len(points), 0.0
+    for d in range(points.shape[1]):
+        middle = 0.0
+        for n in range(count):
+            middle += points[n, d]
+        for n in range(count):
+            total += (points[n, d] - middle / count) ** 2
+    return total / count
+
+
+@compiled
+def moved_rigidly(points: Array, before: Array, after: Array, weight: Array) -> Array:
+    """Return points ``(P, D)`` after the rigid motion that takes others ``(N, D)`` nearest to where they are now.
+
+    Args:
+        points: ``(P, D)``.
+        before: ``(N, D)``.
+        after: ``(N, D)`` the same points after the motion.
+        weight: ``(N,)`` how much each of them counts.
+    """
+    covariance, first, second = covariance_of(before, after, weight)
+    rotation, out = best_rotation(covariance), np.empty_like(points)
+    for p in range(len(points)):
+        for d in range(points.shape[1]):
+            out[p, d] = second[d]
+            for e in range(points.shape[1]):
+                out[p, d] += (points[p, e] - first[e]) * rotation[e, d]
+    return out
+
+
+@compiled
+def similarity(before: Array, after: Array, weight: npt.NDArray[Any]) -> tuple[complex, complex, complex]:
     """Return the turn and scale in the plane that lays points over others, and the middles of both.
 
     The least squares of complex numbers, ``after = turn (before - first) + second``, see S. Umeyama, "Least-Squares
@@ -243,20 +286,20 @@ def similarity(before: Array, after: Array, among: npt.NDArray[np.bool_]) -> tup
     Args:
         before: ``(P, 2)``.
         after: ``(P, 2)``.
-        among: ``(P,)`` which of them count.
+        weight: ``(P,)`` how much each of them counts, or which of them count.
     """
     first = second = product = 0j
-    count, square = 0, 1e-18
+    whole, square = 0.0, 1e-18
     for p in range(len(before)):
-        if among[p]:
-            first, second = first + complex(before[p, 0], before[p, 1]), second + complex(after[p, 0], after[p, 1])
-            count += 1
-    first, second = first / max(count, 1), second / max(count, 1)
+        share = 1.0 * weight[p]
+        first += share * complex(before[p, 0], before[p, 1])
+        second += share * complex(after[p, 0], after[p, 1])
+        whole += share
+    first, second = first / max(whole, 1e-18), second / max(whole, 1e-18)
     for p in range(len(before)):
-        if among[p]:
-            away = complex(before[p, 0], before[p, 1]) - first
-            product += away.conjugate() * (complex(after[p, 0], after[p, 1]) - second)
-            square += away.real * away.real + away.imag * away.imag
+        share, away = 1.0 * weight[p], complex(before[p, 0], before[p, 1]) - first
+        product += share * away.conjugate() * (complex(after[p, 0], after[p, 1]) - second)
+        square += share * (away.real * away.real + away.imag * away.imag)
     return product / square, first, second
 
 

@@ -180,13 +180,6 @@ class Region:
         return (self,)
 
     @cached_property
-    def hollow_share(self) -> float:
-        """The share of what the largest component's outline encloses that is not the component's."""
-        from shape_obs.geometry.outline import enclosed_by
-
-        return 1 - self.areas[0] / max(enclosed_by(self.outline.traced), 1.0)
-
-    @cached_property
     def pixels(self) -> npt.NDArray[np.int32]:
         """``(M, 2)`` pixels, window coordinates."""
         found = cv2.findNonZero(self.mask)  # OpenCV 4 returns (M, 1, 2), OpenCV 5 (M, 2), both None for an empty one

@@ -13,24 +13,22 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import arc_length, closed, even_around, interpolate
-from shape_obs.geometry.rotation import fit, laid_flat, similarity
-from shape_obs.tracking.model import Model, RingConstants, RingModel  # noqa: F401 - the second in a signature
+from shape_obs.geometry.rotation import laid_flat, largest_trace, moved_rigidly, similarity, spread_of
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 _STEPS: Final = 8  # of the search for where the known outline is
 _LEAST_NODES: Final = 64  # at which outlines are compared
-_FEWEST: Final = 8  # points of a visible piece
 _SAMPLES: Final = 64  # of a visible piece, that are compared with the known outline
 _STARTS: Final = 128  # at which the piece may begin, before these are refined
+_FINER: Final = 4  # times: how much closer the places are that are tried next, to either side of the best one
 
 
-@compiled("(f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], RingConstants[::1])")
+@compiled
 def hidden_pieces(
-    points: Array, arc: Array, nodes: Array, known: Array, expected: Array, model: Model
+    points: Array, arc: Array, nodes: Array, known: Array, expected: Array, model: Any
 ) -> tuple[Mask, Array]:
     """Return where an outline is not the object's own, ``(P,)``, and the known outline where it lies now, ``(L, 2)``.
 
@@ -40,23 +38,22 @@ def hidden_pieces(
         nodes: ``(K, 2)`` pixels, equally spaced around it from where it begins if all of it is the object's own.
         known: ``(K, 2)`` pixels, equally spaced around the outline as it was, wherever it lay.
         expected: ``(K, 2)`` pixels, the same nodes where they are expected.
-        model: ``(1,)`` the constants.
+        model: The constants, one ``RingModel``.
     """
-    constants, reach = model[0], int(model[0].turn_within)
-    cut, everywhere = np.zeros(len(points), np.bool_), np.ones(len(known), np.bool_)
-    if not may_be_hidden(nodes, known, constants):
-        return cut, laid_flat(known, similarity(known, nodes, everywhere))
+    cut, reach = np.zeros(len(points), np.bool_), int(model.turn_within)
+    if not may_be_hidden(nodes, known, model):
+        return cut, known
     count, around = max(len(known), _LEAST_NODES), closed(points)
     at = np.arange(count, dtype=np.float64) * (len(known) / count)
-    laid = closed(laid_flat(known, similarity(known, expected, everywhere)))
+    laid = closed(laid_flat(known, similarity(known, expected, np.ones(len(known)))))
     laid = interpolate(laid, np.arange(len(laid), dtype=np.float64), at)
-    laid = laid_along(around, laid, constants.outlier, constants.form_noise)
+    laid = _moved_along(around, laid, model)
     places = even_around(around, arc, 0.0, count)
     at, far, inside = nearest_places(closed(laid), places)
-    off = inside & (far > constants.inside)
+    off = inside & (far > model.inside)
     if not off.any() or off.all():
         return cut, laid
-    before, more = turns_around(laid, constants.turn_reach), turns_around(places, constants.turn_reach)
+    before, more = turns_around(laid, model.turn_reach), turns_around(places, model.turn_reach)
     for k in range(count):
         i = int(at[k])
         more[k] -= before[i] + (at[k] - i) * (before[(i + 1) % count] - before[i])
@@ -70,7 +67,7 @@ def hidden_pieces(
         for step in range(-1, reach + 1):
             first = begin - step if more[(begin - step) % count] > more[first % count] else first
             last = end + step if more[(end + step) % count] > more[last % count] else last
-        if min(more[first % count], more[last % count]) > constants.cut_turn:  # else the object has changed its form
+        if min(more[first % count], more[last % count]) > model.cut_turn:  # else the object has changed its form
             first, last = min(first, begin), max(last, end)
             way = (last - first) % count / count * arc[-1]
             for p in range(len(points)):
@@ -88,7 +85,7 @@ def may_be_hidden(nodes: Array, known: Array, model: Any) -> bool:
         model: The constants, one ``RingModel``.
     """
     count, far, reach = len(nodes), 0.0, int(model.turn_within)
-    laid = laid_flat(known, similarity(known, nodes, np.ones(count, np.bool_)))
+    laid = laid_flat(known, similarity(known, nodes, np.ones(count)))
     for k in range(count):
         far = max(far, math.hypot(nodes[k, 0] - laid[k, 0], nodes[k, 1] - laid[k, 1]))
     if far < model.inside:
@@ -119,51 +116,31 @@ def turns_around(nodes: Array, reach: float) -> Array:
 
 
 @compiled
-def laid_along(line: Array, points: Array, outlier: float, noise: float) -> Array:
-    """Return points ``(L, 2)`` turned, scaled and shifted so that most of them lie on a closed line ``(P + 1, 2)``.
+def _moved_along(line: Array, points: Array, model: Any) -> Array:
+    """Return points ``(L, 2)`` turned, scaled and shifted so that most of them are on a closed line ``(P + 1, 2)``.
 
     Each step moves them towards the nearest places on the line (P. J. Besl, N. D. McKay, "A Method for Registration of
-    3-D Shapes", 1992), weighted so that those that lie far off count for little (D. Geman, D. E. McClure, 1987).
+    3-D Shapes", 1992), weighted so that those that are far off count for little (D. Geman, D. E. McClure, 1987).
 
     Args:
         line: Clockwise as seen, the last point as the first.
         points: Where they were.
-        outlier: Median distances: what is farther off counts for little.
-        noise: Pixels: what is nearer does not.
+        model: The constants, one ``RingModel``.
     """
-    laid, count = points.copy(), len(points)
+    weight, target = np.empty(len(points)), np.empty((len(points), 2))
     for _ in range(_STEPS):
-        place, far, _ = nearest_places(line, laid)
-        limit = max(outlier * np.median(far), noise)
-        total = before_u = before_v = after_u = after_v = 0.0
-        weight, target = np.empty(count), np.empty((count, 2))
-        for k in range(count):
+        place, far, _ = nearest_places(line, points)
+        limit = max(model.outlier * np.median(far), model.form_noise)
+        for k in range(len(points)):
             i = int(place[k])
-            share = place[k] - i
             for d in range(2):
-                target[k, d] = line[i, d] + share * (line[i + 1, d] - line[i, d])
+                target[k, d] = line[i, d] + (place[k] - i) * (line[i + 1, d] - line[i, d])
             weight[k] = 1 / (1 + (far[k] / limit) ** 2) ** 2
-            total += weight[k]
-            before_u += weight[k] * laid[k, 0]
-            before_v += weight[k] * laid[k, 1]
-            after_u += weight[k] * target[k, 0]
-            after_v += weight[k] * target[k, 1]
-        before_u, before_v, after_u, after_v = before_u / total, before_v / total, after_u / total, after_v / total
-        cosine = sine = square = 0.0
-        for k in range(count):
-            x, y = laid[k, 0] - before_u, laid[k, 1] - before_v
-            u, v = target[k, 0] - after_u, target[k, 1] - after_v
-            cosine += weight[k] * (x * u + y * v)
-            sine += weight[k] * (x * v - y * u)
-            square += weight[k] * (x * x + y * y)
-        cosine, sine = cosine / max(square, 1e-18), sine / max(square, 1e-18)
-        for k in range(count):
-            x, y = laid[k, 0] - before_u, laid[k, 1] - before_v
-            laid[k, 0], laid[k, 1] = x * cosine - y * sine + after_u, x * sine + y * cosine + after_v
-    return laid
+        points = laid_flat(points, similarity(points, target, weight))
+    return points
 
 
-@compiled("(f8[:,::1], f8[:,::1])")
+@compiled
 def nearest_places(line: Array, points: Array) -> tuple[Array, Array, Mask]:
     """Return where a closed line is nearest to each point, how far that is, and whether the point is inside.
 
@@ -202,81 +179,144 @@ def nearest_places(line: Array, points: Array) -> tuple[Array, Array, Mask]:
     return place, far, inside
 
 
+@compiled
 def complete_outline(
-    curve: FittedCurve, space: FittedCurve, cut: Mask, known: Array, expected: Array, model: RingModel
-) -> tuple[FittedCurve, float] | None:
-    """Return a closed curve of which a part is hidden with that part put back; None if too little is seen.
+    points: Array, space: Array, cut: Mask, known: Array, expected: Array, model: Any
+) -> tuple[Array, int, float]:
+    """Return a closed curve of which a part is hidden with that part put back.
 
-    What is seen lies over a piece of the known outline of the same length: of all such pieces, over the one that it
-    fits best after a rigid motion, and that lies nearest to where it is expected.
+    What is seen fits a piece of the known outline of the same length: of all such pieces, the one that it fits best
+    after a rigid motion, and that is nearest to where it is expected.
 
     Args:
-        curve: ``(P, 2)`` pixels, the outline of what is seen.
-        space: ``(P, D)`` the same in metres, or in pixels.
+        points: ``(P, 2)`` pixels, the outline of what is seen.
+        space: ``(P, 3)`` the same in metres; ``(0, 3)`` if its form is known in pixels.
         cut: ``(P,)`` whether it is not the object's own there.
-        known: ``(K, D)`` equally spaced around the outline as it was, wherever it lay.
+        known: ``(K, D)`` equally spaced around the outline as it was, wherever it was.
         expected: ``(L, 2)`` pixels, equally spaced around it where it is expected.
-        model: The constants.
+        model: The constants, one ``RingModel``.
 
     Returns:
-        The whole curve in the unit of ``space``, and the arc position at which the known outline begins.
+        ``(Q, D)`` the whole form, first what is seen of it, ``(0, D)`` if that is too little; how many points that are;
+        the arc position at which the known outline begins.
     """
-    ring = _closed(known)
-    knots, count, trimmed = arc_length(ring), len(cut), int(model.trimmed)
-    whole = knots[-1]
-    over = np.flatnonzero(cut)
-    free = np.diff(np.append(over, over[0] + count))
-    index = (over[int(np.argmax(free))] + np.arange(1, int(free.max()))) % count  # the longest piece that is its own
-    index = index[trimmed : len(index) - trimmed]
-    if len(index) < _FEWEST:
-        return None
-    seen, pixels = space.points[index], curve.points[index]
-    arc = arc_length(np.ascontiguousarray(seen))
-    if not model.min_seen * whole < arc[-1] < whole:
-        return None
-    some = np.linspace(0, len(index) - 1, _SAMPLES).round().astype(int)
-    around = np.linspace(0, whole, len(expected) + 1)
+    form = space if len(space) > 0 else points
+    nothing, (first, size), trimmed = (np.empty((0, form.shape[1])), 0, 0.0), _longest_own(cut), int(model.trimmed)
+    first, size = first + trimmed, size - 2 * trimmed
+    if size < 2:
+        return nothing
+    piece = np.empty((size, form.shape[1]))
+    for p in range(size):
+        for d in range(form.shape[1]):
+            piece[p, d] = form[(first + p) % len(form), d]
+    arc, ring = arc_length(piece), closed(known)
+    along = arc_length(ring)
+    length, whole = arc[-1], along[-1]
+    if not model.min_seen * whole < length < whole:
+        return nothing
+    at, some, pixels = np.empty(_SAMPLES), np.empty((_SAMPLES, form.shape[1])), np.empty((_SAMPLES, 2))
+    for n in range(_SAMPLES):
+        p = int(np.rint(n * ((size - 1) / (_SAMPLES - 1))))
+        at[n] = arc[p]
+        for d in range(form.shape[1]):
+            some[n, d] = piece[p, d]
+        for d in range(2):
+            pixels[n, d] = points[(first + p) % len(points), d]
+    places, own, spread = closed(expected), _SAMPLES * spread_of(some), _SAMPLES * spread_of(pixels)
+    step, begin, least = whole / _STARTS, 0.0, np.inf
+    for k in range(_STARTS):
+        off = _misfit(k * step, at, some, pixels, ring, along, places, own, spread, model)
+        begin, least = (k * step, off) if off < least else (begin, least)
+    for _ in range(2):
+        middle = begin
+        for k in range(-_FINER, _FINER + 1):
+            start = middle + k / _FINER * step
+            off = _misfit(start, at, some, pixels, ring, along, places, own, spread, model)
+            begin, least = (start, off) if off < least else (begin, least)
+        step /= _FINER
+    steps = max(int(np.rint((whole - length) / (length / size))), 2)
+    hidden = np.empty(steps + 1)  # from the last point that is seen to the first
+    for k in range(steps + 1):
+        hidden[k] = (begin + length + (whole - length) * k / steps) % whole
+    for n in range(_SAMPLES):
+        at[n] = (at[n] + begin) % whole
+    pattern = interpolate(ring, along, at)
+    back = moved_rigidly(interpolate(ring, along, hidden), pattern, some, np.ones(_SAMPLES))
+    out = np.empty((size + steps - 1, form.shape[1]))
+    for q in range(len(out)):
+        for d in range(form.shape[1]):
+            if q < size:
+                out[q, d] = piece[q, d]
+            else:
+                share = (q - size + 1) / steps
+                gap = (1 - share) * (piece[size - 1, d] - back[0, d]) + share * (piece[0, d] - back[steps, d])
+                out[q, d] = back[q - size + 1, d] + gap
+    return out, size, -begin
 
-    def misfit(begin: Array) -> Array:
-        at = (arc[some] + begin[:, None]) % whole
-        pattern = np.stack([np.interp(at, knots, column) for column in ring.T], axis=-1)
-        place = np.stack([np.interp(at, around, np.append(column, column[0])) for column in expected.T], axis=-1)
-        before = pattern - pattern.mean(axis=1, keepdims=True)
-        after = seen[some] - seen[some].mean(axis=0)
-        product = np.swapaxes(before, 1, 2) @ after
-        values = np.linalg.svd(product, compute_uv=False)
-        values[:, -1] *= np.sign(np.linalg.det(product))
-        own = (after**2).sum()
-        shape = (own + (before**2).sum(axis=(1, 2)) - 2 * values.sum(axis=1)) / own
-        away = ((place - pixels[some]) ** 2).sum(axis=(1, 2)) / ((pixels[some] - pixels[some].mean(axis=0)) ** 2).sum()
-        return shape + model.place_cost * away
 
-    begin, step, best = np.arange(_STARTS) * (whole / _STARTS), whole / _STARTS, 0.0
-    for _ in range(3):
-        best = begin[int(np.argmin(misfit(begin)))]
-        begin, step = best + step * np.linspace(-1, 1, 9), step / 4
-    at = (arc[some] + best) % whole
-    pattern = np.stack([np.interp(at, knots, column) for column in ring.T], axis=-1)
-    steps = max(round((whole - arc[-1]) / (arc[-1] / len(index))), 2)
-    rest = arc[-1] + (whole - arc[-1]) * np.arange(1, steps) / steps
-    ends = np.concatenate([[arc[-1], whole], rest])
-    hidden = np.stack([np.interp((ends + best) % whole, knots, column) for column in ring.T], axis=-1)
-    laid = fit(pattern, seen[some]).apply(hidden)
-    share = (np.arange(1, steps) / steps)[:, None]
-    laid = laid[2:] + (1 - share) * (seen[-1] - laid[0]) + share * (seen[0] - laid[1])
-    points = np.concatenate([seen, laid])
-    flags = np.arange(len(points)) >= len(seen)
-    return FittedCurve.through(points, flags, True), float(-best)
+@compiled
+def _longest_own(cut: Mask) -> tuple[int, int]:
+    """Return the first point of the longest piece of an outline ``(P,)`` that is its own, and how many it has."""
+    count, last = len(cut), 0
+    while not cut[last]:
+        last += 1
+    first, size = last, 0
+    for p in range(last + 1, last + count + 1):
+        if cut[p % count]:
+            first, size = (last + 1, p - last - 1) if p - last - 1 > size else (first, size)
+            last = p
+    return first % count, size
 
 
+@compiled
+def _misfit(
+    begin: float, at: Array, some: Array, pixels: Array, ring: Array, along: Array, places: Array, own: float,
+    spread: float, model: Any,
+) -> float:  # fmt: skip
+    """Return by how much what is seen misses the piece of the known outline from a place on, but for a constant.
+
+    Args:
+        begin: The place.
+        at: ``(N,)`` arc positions of some of the points that are seen.
+        some: ``(N, D)`` these points.
+        pixels: ``(N, 2)`` the same in the image.
+        ring: ``(K + 1, D)`` the known outline.
+        along: ``(K + 1,)`` its arc length.
+        places: ``(L + 1, 2)`` pixels, equally spaced around it where it is expected.
+        own: Sum of the squares of the points about their mean.
+        spread: The same in the image.
+        model: The constants, one ``RingModel``.
+    """
+    count, size, whole, last, i = len(at), some.shape[1], along[-1], len(places) - 1, 0
+    pattern, covariance, other, away = np.empty((size, count)), np.empty((size, size)), 0.0, 0.0
+    for n in range(count):
+        here = (at[n] + begin) % whole
+        i = i if along[i] <= here else 0
+        while along[i + 1] < here:
+            i += 1
+        share = (here - along[i]) / (along[i + 1] - along[i])
+        for d in range(size):
+            pattern[d, n] = ring[i, d] + share * (ring[i + 1, d] - ring[i, d])
+        j = min(int(here / whole * last), last - 1)
+        share = here / whole * last - j
+        for d in range(2):
+            away += (places[j, d] + share * (places[j + 1, d] - places[j, d]) - pixels[n, d]) ** 2
+    for d in range(size):
+        row = pattern[d] - pattern[d].mean()
+        for e in range(size):
+            covariance[d, e] = 0.0
+            for n in range(count):
+                covariance[d, e] += row[n] * some[n, e]
+        for n in range(count):
+            other += row[n] * row[n]
+    return (other - 2 * largest_trace(covariance)) / own + model.place_cost * away / spread
+
+
+@compiled
 def sticks_out(hidden: Array, outline: Array, far: float) -> bool:
-    """Return whether a hidden part ``(L, 2)`` lies so far beyond the outline ``(P, 2)`` of what is seen, all in pixels.
+    """Return whether a hidden part ``(L, 2)`` is so far beyond the outline ``(P, 2)`` of what is seen, all in pixels.
 
     What only touches an object hides nothing of it: its outline is then its own everywhere.
     """
-    _, off, inside = nearest_places(_closed(outline), np.ascontiguousarray(hidden))
-    return bool((off > far)[~inside].any())
-
-
-def _closed(points: Array) -> Array:
-    return np.ascontiguousarray(np.concatenate([points, points[:1]]))
+    _, off, inside = nearest_places(closed(outline), hidden)
+    return bool(((off > far) & ~inside).any())

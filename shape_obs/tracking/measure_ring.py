@@ -1,4 +1,4 @@
-"""Measure a ring: a self-organising map on the outline of a mask, and its curve in space."""
+"""Measure a ring: a self-organising map on the outline of a mask or a cloud, and its curve in space."""
 
 from __future__ import annotations
 
@@ -7,51 +7,29 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.clustering.som import run_ring_som
+from shape_obs.clustering.som import batch_epochs, run_ring_som
 from shape_obs.compiled import compiled
-from shape_obs.frame import DepthImages
-from shape_obs.geometry.outline import SAMPLED, enclosed_by, material_outline, pairs
-from shape_obs.geometry.polyline import catmull_rom
-from shape_obs.image.outline_tracing import trace_largest
-from shape_obs.tracking.complete_lattice import Edges, Lens, rim_depth
-from shape_obs.tracking.model import DepthLimits
+from shape_obs.geometry.outline import SAMPLED, enclosed_by, pairs
+from shape_obs.geometry.polyline import arc_length, catmull_rom, closed, even_around
+from shape_obs.geometry.topology import undo_shrinkage
+from shape_obs.image.outline_tracing import trace_components, trace_hole
+from shape_obs.tracking.complete_lattice import Lens
 from shape_obs.tracking.validation import ring_miss
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.uint8]
 
-PIECES: Final = 4  # of the curve between two nodes
 MIN_SAMPLES: Final = 8  # a ring of 16 pixels, as few as an object may have
-
-
-@compiled("(f8[:,::1], b1, f8[::1], i8, f8)")
-def fit_ring_in_mask(traced: Array, hole: bool, start: Array, count: int, sigma: float) -> tuple[Array, float]:
-    """Run the self-organising map of a ring on the outline of a mask and finish its curve, all in one call.
-
-    Args:
-        traced: ``(P, 2)`` pixels, through the centres of the border pixels.
-        hole: Whether the material lies outside.
-        start: ``(2,)`` the first node starts at the outline's point nearest to it.
-        count: How many nodes.
-        sigma: Width of the neighbourhood, nodes.
-
-    Returns:
-        ``(count * 4, 2)`` the closed curve, and how far the outline misses it, in distances of its samples.
-    """
-    points, smooth = material_outline(traced, hole)
-    samples = pairs(points)
-    nodes, unit = run_ring_som(samples, smooth, start, count, sigma)
-    curve = catmull_rom(nodes, PIECES, True)
-    return curve, ring_miss(samples, unit, curve, PIECES) / SAMPLED
+_PIECES: Final = 4  # of the curve between two nodes
+_NODES: Final = (24, 192)  # at least and at most, for any number of points
 
 
 @compiled
-def see_outline(
-    mask: Mask, runs: Indices, pieces: int, left: int, top: int, depth: DepthImages,
-    edge: Edges, camera: Lens, start: Array, count: int, sigma: float, limits: DepthLimits,
-) -> tuple[Array, Array, bool, float, float, float]:  # fmt: skip
-    """Fit a ring to the outline of the largest piece of a mask, and put it in space, all in one call.
+def trace_border(
+    mask: Mask, runs: Indices, pieces: int, left: int, top: int, hole: int
+) -> tuple[Array, float, float]:  # fmt: skip
+    """Return the outline of the largest component of a mask or of a hole of it, and what the component looks like.
 
     Args:
         mask: As ``trace_components`` takes it, and the next four.
@@ -59,25 +37,87 @@ def see_outline(
         pieces: How many components there are.
         left: Image column.
         top: Image row.
-        depth: As ``rim_depth`` takes it, and the next.
-        edge: Of what is searched.
-        camera: Focal lengths and principal point of a pinhole, pixels.
-        start: As ``fit_ring_in_mask`` takes it.
-        count: How many nodes.
-        sigma: Width of the neighbourhood, nodes.
-        limits: As ``rim_depth`` takes it.
+        hole: Which hole, the largest first; -1 for the outer outline.
 
     Returns:
-        ``(count * 4, 2)`` the closed curve; the same in metres, ``(0, 3)`` without depth; whether something lies over
-        it; how far the outline misses it, in distances of its samples; the width, 0 for a few pixels; the area that
-        the outline encloses, square pixels.
+        ``(P, 2)`` pixels through the centres of the border pixels, ``(0, 2)`` without such a hole; the component's
+        width, pixels; the share of what its outer outline encloses that is not the component's own.
     """
-    traced, width = trace_largest(mask, runs, pieces, left, top)
-    if len(traced) <= SAMPLED * (MIN_SAMPLES - 1):
-        return np.empty((0, 2)), np.empty((0, 3)), False, 0.0, 0.0, 0.0
-    curve, miss = fit_ring_in_mask(traced, False, start, count, sigma)
-    z, cut = rim_depth(depth, edge, mask, left, top, curve, width, limits)
-    return curve, lifted(curve, z, camera), bool(cut.any()), miss, width, enclosed_by(traced)
+    outlines, stops, areas, _, widths, holes = trace_components(mask, runs, pieces, left, top)
+    piece = int(np.argmax(areas))
+    outer = outlines[stops[piece - 1] if piece > 0 else 0 : stops[piece]]
+    hollow = 1 - areas[piece] / max(enclosed_by(outer), 1.0)
+    if hole < 0:
+        return outer, widths[piece], hollow
+    at, most = -1, np.inf
+    for _ in range(hole + 1):
+        before, at = at, -1
+        for h in range(len(holes)):
+            later = holes[h, 5] < most or (holes[h, 5] == most and h > before)
+            if holes[h, 0] == piece and later and (at < 0 or holes[h, 5] > holes[at, 5]):
+                at = h
+        if at < 0:
+            return outer[:0], widths[piece], hollow
+        most = holes[at, 5]
+    return trace_hole(mask, int(holes[at, 1]), int(holes[at, 2]), left, top), widths[piece], hollow
+
+
+@compiled("(f8, f8)")
+def nodes_around(length: float, spacing: float) -> int:
+    """Return how many nodes an outline gets that are to be so far apart: 24 to 192."""
+    return int(min(max(np.rint(length / spacing), _NODES[0]), _NODES[1]))
+
+
+@compiled
+def fit_ring_in_mask(points: Array, smooth: Array, start: Array, count: int, sigma: float) -> tuple[Array, float]:
+    """Run the self-organising map of a ring on the outline of a mask, and finish its curve.
+
+    Args:
+        points: ``(P, 2)`` pixels, where the material ends.
+        smooth: ``(P, 2)`` the same without the staircase of pixels.
+        start: ``(2,)`` the first node starts at the outline's point nearest to it.
+        count: How many nodes.
+        sigma: Width of the neighbourhood, nodes.
+
+    Returns:
+        ``(count * 4, 2)`` the closed curve, and how far the outline misses it, in distances of its samples.
+    """
+    samples = pairs(points)
+    curve = catmull_rom(run_ring_som(samples, smooth, start, count, sigma), _PIECES, True)
+    return curve, ring_miss(samples, curve) / SAMPLED
+
+
+@compiled("(f8[:,::1], f8[::1], f8, f8[:,::1], f8[::1], i8, f8)")
+def fit_ring_in_cloud(
+    points: Array, weight: Array, scale: float, outline: Array, start: Array, count: int, sigma: float
+) -> tuple[Array, float]:
+    """Run the self-organising map of a ring on the outline of a cloud, and finish its curve.
+
+    Args:
+        points: ``(M, 3)`` samples of the outline, metres.
+        weight: ``(M,)`` how much each counts.
+        scale: Their distance.
+        outline: ``(P, 3)`` the outline itself.
+        start: ``(3,)`` the first node starts at the outline's point nearest to it.
+        count: How many nodes.
+        sigma: Width of the neighbourhood, nodes.
+
+    Returns:
+        ``(count * 4, 3)`` the closed curve, and how far the samples miss it, in their distances.
+    """
+    around, nearest, least = closed(outline), 0, np.inf
+    arc = arc_length(around)
+    for p in range(len(outline)):
+        square = 0.0
+        for d in range(3):
+            square += (outline[p, d] - start[d]) ** 2
+        nearest, least = (p, square) if square < least else (nearest, least)
+    nodes = even_around(around, arc, arc[nearest], count)
+    nodes = batch_epochs(points, weight, nodes, (1, count), True, np.full(1, sigma))
+    near = np.exp(-0.5 / sigma**2)
+    nodes = undo_shrinkage(nodes, 1 / 24 + near / (1 + 2 * near), True)
+    curve = catmull_rom(nodes, _PIECES, True)
+    return curve, ring_miss(points, curve) / scale
 
 
 @compiled

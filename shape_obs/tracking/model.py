@@ -201,9 +201,7 @@ class RingModel(OutlineModel):
     start_weight: float = 0.05  # of a match of forms: weight of the place; of a square's four ways the nearest is taken
     place_weight: _Pair = (0.0003, 1.0)  # the same on a circle: of any size, and times a squared resolution, for noise
     staircase: float = 0.06  # squared resolutions: what the staircase of pixels makes of a circle
-    alike: float = 0.98  # of a perfect match: a better one in space is looked for near the expected place alone
     outlier: float = 2.0  # median distances: what is farther off has bent or is hidden, and counts for little
-    max_refinement: float = 1 / 24  # of the outline: by so much a shift is refined at most
 
     # Learn. Numbered by the last frame alone, an outline of noisy pixels drifts by 6 px in 180 frames.
     outline_memory: float = 0.65  # s: how fast the known outline follows the one that is found

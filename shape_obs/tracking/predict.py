@@ -128,11 +128,6 @@ class Prediction(NamedTuple):
         """How long ago the object was seen last, in intervals of the track, at least 1."""
         return max(self.seconds / self.track.interval, 1.0) if self.track.interval > 0 else 1.0
 
-    @property
-    def reference(self) -> Array:
-        """``(K, D)`` nodes of the past that a closed curve is numbered by."""
-        return self.nodes if self.track.hints.reference is None else self.track.hints.reference
-
 
 def length_in_image(track: Track | None) -> float:
     """Return the length in the image of a rope of which all was seen, pixels; 0 if it is not known."""

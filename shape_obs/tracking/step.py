@@ -1,7 +1,7 @@
-"""Step: one frame of a rope or an outline in one compiled call, from what is seen to its state.
+"""Step: one frame of a rope in one compiled call, from what is seen to its state.
 
 A rope is measured, registered, completed and judged. Every frame of it goes this way, the first one too, which starts
-from an initial axis, with nothing known of the rope. An outline is measured and registered so while nothing hides it.
+from an initial axis, with nothing known of the rope.
 """
 
 from __future__ import annotations
@@ -14,17 +14,13 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, DepthImages
 from shape_obs.geometry.curve import first_coordinates, with_log_depth
-from shape_obs.geometry.outline import SAMPLED
 from shape_obs.geometry.polyline import arc_length, even_points, interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
 from shape_obs.tracking.complete_chain import complete_chain
-from shape_obs.tracking.complete_lattice import Edges, Lens
 from shape_obs.tracking.judge_chain import judge_chain
 from shape_obs.tracking.measure_chain import fit_chain_in_mask
-from shape_obs.tracking.measure_ring import see_outline
-from shape_obs.tracking.model import ChainConstants, DepthLimits, Model, RingConstants  # noqa: F401 - in signatures
+from shape_obs.tracking.model import ChainConstants, Model  # noqa: F401 - the first in signatures
 from shape_obs.tracking.register_chain import Ends, Expected, register_chain
-from shape_obs.tracking.register_ring import follow_outline
 from shape_obs.tracking.state import RopeState, State  # noqa: F401 - the first in a signature
 
 Array = npt.NDArray[np.float64]
@@ -34,11 +30,6 @@ Flags = npt.NDArray[np.bool_]
 #: State ``(1,)``; nodes ``(K, D)`` and their log-depth; the whole curve: points ``(P, D)``, flags, arc length, metres,
 #: pixels and log-depth, ``(P,)``, the last three ``(0,)`` where they are not known.
 Stepped = tuple[State, Array, Array, Array, Flags, Array, Array, Array, Array]
-
-#: Whether an outline was followed; its curve ``(P, 2)``; the same in metres ``(P, 3)``, ``(0, 3)`` without depth; its
-#: arc length ``(P + 1,)``; nodes ``(K, 2)``; what is known of it now ``(K, D)``; how far its turning can be believed,
-#: 0...1; how far it misses the mask's, in distances of its samples; the mask's width, pixels.
-RingStep = tuple[bool, Array, Array, Array, Array, Array, float, float, float]
 
 _FEWEST: Final = 6  # nodes of a visible piece
 
@@ -191,45 +182,3 @@ def _show(now: Any, stations: Array) -> None:
         if hidden < least:
             at = 1 - hidden + 1e-9 if end else hidden - 1e-9
             now.shown[end] = np.searchsorted(stations, at * stations[-1])
-
-
-@compiled(
-    "(u1[:,::1], i8[:,::1], i8, i8, i8, " + DEPTH_TYPE + ", UniTuple(i8, 4), UniTuple(f8, 4), i8, f8[:,::1], "
-    "f8[:,::1], f8, b1, RingConstants[::1], UniTuple(f8, 7))"
-)
-def step_ring_in_mask(
-    mask: Mask, runs: Indices, pieces: int, left: int, top: int, depth: DepthImages, edge: Edges, camera: Lens,
-    largest: int, nodes: Array, known: Array, lasted: float, band: bool, model: Model, limits: DepthLimits,
-) -> RingStep:  # fmt: skip
-    """Follow an outline into a mask that looks as it did.
-
-    Args:
-        mask: As ``see_outline`` takes it, and all up to the camera.
-        runs: Of the mask.
-        pieces: How many components there are.
-        left: Image column.
-        top: Image row.
-        depth: The frame's.
-        edge: Of what is searched.
-        camera: A pinhole.
-        largest: Pixels of the largest component.
-        nodes: ``(K, 2)`` where the outline is predicted.
-        known: ``(K, D)`` its nodes in the past, wherever it was, in pixels or metres.
-        lasted: Seconds for which this frame counts.
-        band: Whether the object is a closed band.
-        model: ``(1,)`` the constants.
-        limits: As ``see_outline`` takes it.
-
-    Returns:
-        See ``RingStep``; not followed is what something lies over or may hide, is too thin or a band and not hollow, or
-        is seen in space and was not, or the other way round: that is to be looked at more closely.
-    """
-    curve, space, covered, miss, width, enclosed = see_outline(
-        mask, runs, pieces, left, top, depth, edge, camera, nodes[0], len(nodes), model[0].sigma, limits
-    )
-    as_it_was = not covered and (known.shape[1] == 3) == (len(space) > 0)
-    thin = width < model[0].min_width * SAMPLED
-    if not as_it_was or thin or (band and 1 - largest / max(enclosed, 1.0) < model[0].min_hollow):
-        return False, curve, space, np.empty(0), nodes, known, 0.0, miss, width
-    curve, space, arc, nodes, known, turning, hidden = follow_outline(curve, space, known, nodes, lasted, model)
-    return not hidden, curve, space, arc, nodes, known, turning, miss, width

@@ -8,18 +8,16 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.clustering.som import best_matching_units, nearest_around
+from shape_obs.clustering.som import best_matching_units
 from shape_obs.compiled import compiled
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.topology import Grid
 from shape_obs.tracking.model import LatticeModel, RingModel
 
 Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
 
 _JUDGED: Final = 150  # samples are enough to measure how far a mask spreads about a curve
 _JUDGED_AROUND: Final = 256  # samples are enough to measure by how much an outline is missed
-_NEAR: Final = 6  # points of a curve, within which the nearest to a sample lies
 FOLDED: Final = "the gaps between the points differ in space: the sheet is folded or crumpled"
 
 
@@ -165,43 +163,27 @@ def sample_spread(points: Array, weight: Array, curve: Array) -> float:
 
 
 @compiled
-def ring_miss(samples: Array, unit: Indices, curve: Array, pieces: int) -> float:
-    """Return the mean distance of ``(M, 2)`` samples from the tangents of a closed curve ``(P, 2)``.
+def ring_miss(samples: Array, curve: Array) -> float:
+    """Return the mean distance of ``(M, D)`` samples from the tangents of a closed curve ``(P, D)``.
 
-    Each sample is near its node ``unit``; there are ``pieces`` points of the curve to a node. About 256 of the samples
-    are measured.
+    About 256 of the samples are measured.
     """
-    size = len(curve)
-    step = 0.0
+    size, dimension, skip, step = len(curve), curve.shape[1], -(-len(samples) // _JUDGED_AROUND), 0.0
     for p in range(size):
-        after = p + 1 if p < size - 1 else 0
-        step += math.sqrt((curve[after, 0] - curve[p, 0]) ** 2 + (curve[after, 1] - curve[p, 1]) ** 2) / size
-    skip = (len(samples) + _JUDGED_AROUND - 1) // _JUDGED_AROUND
-    total, judged = 0.0, 0
-    for m in range(0, len(samples), skip):
-        u, v = samples[m, 0], samples[m, 1]
-        p = nearest_around(u, v, curve, unit[m] * pieces, _NEAR)
-        before, after = p - 1 if p else size - 1, p + 1 if p < size - 1 else 0
-        x, y = curve[after, 0] - curve[before, 0], curve[after, 1] - curve[before, 1]
-        reach = max(math.sqrt(x * x + y * y), 1e-9)
-        u, v = u - curve[p, 0], v - curve[p, 1]
-        across, beyond = (v * x - u * y) / reach, max(abs(u * x + v * y) / reach - step, 0.0)
-        total += math.sqrt(across * across + beyond * beyond)
-        judged += 1
-    return total / judged
-
-
-def outline_miss(points: Array, curve: Array) -> float:
-    """Return the mean distance of ``(M, D)`` points from the tangents of a closed curve ``(P, D)``.
-
-    About 256 of the points are measured.
-    """
-    some = points[:: -(-len(points) // _JUDGED_AROUND)]
-    ahead, back = np.roll(curve, -1, axis=0), np.roll(curve, 1, axis=0)
-    step = float(np.mean(np.linalg.norm(ahead - curve, axis=1)))
-    nearest = np.argmin(np.sum((some[:, None] - curve) ** 2, axis=2), axis=1)
-    offset, tangent = some - curve[nearest], (ahead - back)[nearest]
-    along = np.sum(offset * tangent, axis=1) / np.maximum(np.linalg.norm(tangent, axis=1), 1e-9)
-    beyond = np.maximum(np.abs(along) - step, 0.0)
-    across = np.maximum(np.sum(offset**2, axis=1) - along**2, 0.0)
-    return float(np.mean(np.sqrt(across + beyond**2)))
+        square = 0.0
+        for d in range(dimension):
+            square += (curve[p, d] - curve[p - 1, d]) ** 2
+        step += math.sqrt(square) / size
+    some, total = np.ascontiguousarray(samples[::skip]), 0.0
+    nearest = best_matching_units(some, curve)
+    for m in range(len(some)):
+        p = nearest[m]
+        after, square, reach, along = (p + 1) % size, 0.0, 0.0, 0.0
+        for d in range(dimension):
+            tangent, offset = curve[after, d] - curve[p - 1, d], some[m, d] - curve[p, d]
+            square += offset * offset
+            reach += tangent * tangent
+            along += tangent * offset
+        along = abs(along) / max(math.sqrt(reach), 1e-9)
+        total += math.sqrt(max(square - along * along, 0.0) + max(along - step, 0.0) ** 2)
+    return total / len(some)

@@ -139,6 +139,8 @@ def main(kind: str) -> None:
                 ok += detector.detect_mask(scene.mask, scene.depth, View().intrinsics).shapes[0].ok
     for mask in masks[0][:5]:
         kmeans.detect_mask(mask, np.full(mask.shape, 700, np.uint16), CAMERA)
+    if kind == "contour":
+        ShapeDetector([make(hole=0)], BLUE, clustering="kmeans").detect_mask(masks[4][0])
     detector = detectors[0]
     detector.reset()
     for k, mask in enumerate(masks[0][:12]):
