@@ -314,6 +314,32 @@ def viewing_rays(pixels: npt.NDArray[np.float64], lens: npt.NDArray[np.float64])
     return rays
 
 
+@compiled
+def projected(points: npt.NDArray[np.float64], lens: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return points ``(P, 3)`` as pixels, ``(P, 2)``; ``(0, 2)`` if the camera does not see some of them.
+
+    Args:
+        points: ``(P, 3)``.
+        lens: ``(10,)`` see ``Intrinsics.lens``.
+    """
+    out = np.empty((len(points), 2))
+    for p in range(len(points)):
+        if not points[p, 2] > 0:
+            return out[:0]
+        x, y = points[p, 0] / points[p, 2], points[p, 1] / points[p, 2]
+        if lens[4] > 0:
+            r2 = x * x + y * y
+            radial = 1 + ((lens[9] * r2 + lens[6]) * r2 + lens[5]) * r2
+            scale = radial if lens[4] == _INVERSE else 1.0
+            a, b = scale * x, scale * y
+            x = x * radial + 2 * lens[7] * a * b + lens[8] * (r2 + 2 * a * a)
+            y = y * radial + 2 * lens[8] * a * b + lens[7] * (r2 + 2 * b * b)
+        out[p, 0], out[p, 1] = x * lens[0] + lens[2], y * lens[1] + lens[3]
+        if not max(abs(out[p, 0]), abs(out[p, 1])) < _MAX_PIXEL:
+            return out[:0]
+    return out
+
+
 def as_camera_model(camera: CameraLike, size: tuple[int, int] | None = None) -> CameraModel | None:
     """Return the camera model that a camera in any of these forms describes; None stays None.
 

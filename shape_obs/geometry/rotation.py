@@ -96,7 +96,7 @@ def best_rotation(covariance: Array) -> Array:
         covariance: ``(3, 3)`` A.
     """
     left, right = covariance.copy(), np.eye(3)
-    size = _orthogonalized(left, right)
+    size = orthogonalized(left, right)
     first = int(np.argmax(size))
     least = int(np.argmin(size)) if size.min() < size[first] else 2
     second = 3 - first - least
@@ -145,7 +145,7 @@ def largest_trace(covariance: Array) -> float:
 
 
 @compiled
-def _orthogonalized(left: Array, right: Array) -> Array:
+def orthogonalized(left: Array, right: Array) -> Array:
     """Rotate the columns of a matrix until they are orthogonal, and those of another alike; return their lengths.
 
     Args:
@@ -267,4 +267,38 @@ def laid_flat(points: Array, laying: tuple[complex, complex, complex]) -> Array:
     for p in range(len(points)):
         place = turn * (complex(points[p, 0], points[p, 1]) - first) + second
         out[p, 0], out[p, 1] = place.real, place.imag
+    return out
+
+
+@compiled
+def laid_over(points: Array, others: Array, among: npt.NDArray[np.bool_]) -> Array:
+    """Return points ``(P, D)`` laid over others by those that count: by a similarity, in space by a rigid motion."""
+    if points.shape[1] == 2:
+        return laid_flat(points, similarity(points, others, among))
+    before, after, count = np.empty_like(points), np.empty_like(points), 0
+    for p in range(len(points)):
+        if among[p]:
+            for d in range(3):
+                before[count, d], after[count, d] = points[p, d], others[p, d]
+            count += 1
+    covariance, first, second = covariance_of(before[:count], after[:count])
+    rotation, out = best_rotation(covariance), np.empty_like(points)
+    for p in range(len(points)):
+        for d in range(3):
+            out[p, d] = second[d]
+            for e in range(3):
+                out[p, d] += (points[p, e] - first[e]) * rotation[e, d]
+    return out
+
+
+@compiled
+def flattened(points: Array) -> Array:
+    """Return points in space ``(P, 3)`` in the plane along which they spread most, ``(P, 2)``."""
+    covariance, middle, _ = covariance_of(points, points)
+    axes, out = np.eye(3), np.zeros((len(points), 2))
+    least = int(np.argmin(orthogonalized(covariance, axes)))
+    for p in range(len(points)):
+        for k in range(2):
+            for d in range(3):
+                out[p, k] += (points[p, d] - middle[d]) * axes[d, (least + 1 + k) % 3]
     return out
