@@ -271,8 +271,11 @@ def laid_flat(points: Array, laying: tuple[complex, complex, complex]) -> Array:
 
 
 @compiled
-def laid_over(points: Array, others: Array, among: npt.NDArray[np.bool_]) -> Array:
-    """Return points ``(P, D)`` laid over others by those that count: by a similarity, in space by a rigid motion."""
+def laid_over(points: Array, others: Array, among: npt.NDArray[np.bool_], scaled: bool) -> Array:
+    """Return points ``(P, D)`` laid over others by those that count.
+
+    They are laid by a similarity, in space by a rigid motion unless it is to be scaled.
+    """
     if points.shape[1] == 2:
         return laid_flat(points, similarity(points, others, among))
     before, after, count = np.empty_like(points), np.empty_like(points), 0
@@ -282,12 +285,18 @@ def laid_over(points: Array, others: Array, among: npt.NDArray[np.bool_]) -> Arr
                 before[count, d], after[count, d] = points[p, d], others[p, d]
             count += 1
     covariance, first, second = covariance_of(before[:count], after[:count])
-    rotation, out = best_rotation(covariance), np.empty_like(points)
+    rotation, out, trace, square = best_rotation(covariance), np.empty_like(points), 0.0, 1e-18
+    for d in range(3):
+        for e in range(3):
+            trace += rotation[d, e] * covariance[d, e]
+        for p in range(count):
+            square += (before[p, d] - first[d]) ** 2
+    scale = trace / square if scaled else 1.0
     for p in range(len(points)):
         for d in range(3):
             out[p, d] = second[d]
             for e in range(3):
-                out[p, d] += (points[p, e] - first[e]) * rotation[e, d]
+                out[p, d] += scale * (points[p, e] - first[e]) * rotation[e, d]
     return out
 
 

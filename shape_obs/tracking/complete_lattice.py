@@ -69,7 +69,7 @@ def complete_border(
     found, seen = _followed(expected, rim, space, corners, cut, kinks, sides, tolerance, model)
     if np.count_nonzero(seen) < model.min_seen * len(seen):
         return found[:0], seen, folded[:0]
-    points = laid_over(_stretched(known, corners, sides), found, seen)
+    points = laid_over(_stretched(known, corners, sides), found, seen, False)
     misfit, sharp, count, square = np.empty((4 * SIDE + 1, space.shape[1])), np.empty(4 * SIDE + 1), 0, 0.0
     for p in range(4 * SIDE):
         if seen[p] and abs((p + SIDE // 2) % SIDE - SIDE // 2) > trimmed:  # corners are rounded
@@ -116,7 +116,7 @@ def _followed(
         if corners[k] >= 0:
             visible[SIDE * k] = True
             places[SIDE * k, 0], places[SIDE * k, 1] = rim[corners[k], 0], rim[corners[k], 1]
-    placed = laid_over(expected, places, visible)
+    placed = laid_over(expected, places, visible, True)
     found, seen = np.zeros((4 * SIDE, space.shape[1])), np.zeros(4 * SIDE, np.bool_)
     for number in range(8):
         k, way = number // 2, 1 - number % 2 * 2
@@ -245,26 +245,15 @@ def hide_folded(folded: Indices, sides: Array, hidden: Mask) -> None:
     """
     wide, high = (sides[0] + sides[2]) / 2, (sides[1] + sides[3]) / 2
     for q in range(len(folded)):
-        first, last = folded[q, 0], folded[q, 1]
-        a, b = _flat_place(first, sides), _flat_place(last, sides)
-        tip = _flat_place(round((first + last) / 2 / SIDE) * SIDE, sides)
-        mirrored = a + ((tip - a) / (b - a)).conjugate() * (b - a)
+        a, b = _flat_place(folded[q, 0], sides), _flat_place(folded[q, 1], sides)
+        tip = _flat_place(round((folded[q, 0] + folded[q, 1]) / 2 / SIDE) * SIDE, sides)
+        beyond = ((tip - a) / (b - a)).imag
         for p in range(len(hidden)):
             place = complex(p % FINE / SIDE * wide, p // FINE / SIDE * high)
-            hidden[p] = hidden[p] or _is_inside(place, a, b, tip) or _is_inside(place, a, b, mirrored)
-
-
-@compiled
-def _is_inside(place: complex, a: complex, b: complex, c: complex) -> bool:
-    """Return whether a place in the plane lies in a triangle."""
-    one, two, three = _side_of(place, a, b), _side_of(place, b, c), _side_of(place, c, a)
-    return min(one, two, three) >= 0 or max(one, two, three) <= 0
-
-
-@compiled
-def _side_of(place: complex, a: complex, b: complex) -> float:
-    """Return twice the area of the triangle of two points and a place, with its sign."""
-    return ((b - a).conjugate() * (place - a)).imag
+            along = (place - a) / (b - a)
+            if along.imag * beyond < 0:  # where it would lie if it were folded over
+                place = a + along.conjugate() * (b - a)
+            hidden[p] = hidden[p] or (0 <= place.real <= wide and 0 <= place.imag <= high)
 
 
 def look_around(

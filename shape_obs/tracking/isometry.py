@@ -114,11 +114,12 @@ def isometry_in_space(space: Array, rows: int, cols: int, model: Model) -> tuple
                 if math.isfinite(ways[i, k]):
                     share, way, row, col = (k - 1) / (FINE - 3), ways[i, k] / whole, k if down else i, i if down else k
                     least = max(share - way, 1 - share - (excess + 1 - way), 0.0)
-                    off[row, col] = math.hypot(off[row, col], math.hypot(least, anywhere) * whole)
-    for i in range(FINE * FINE):
-        row, col = i // FINE, i % FINE
-        off[row, col] = off[min(max(row, 1), _LAST - 1), min(max(col, 1), _LAST - 1)]
-    return np.maximum(off - model[0].node_noise * gap, 0.0).reshape(FINE * FINE), gap, short, long
+                    off[row, col] += (least**2 + anywhere**2) * whole**2
+    out = np.empty(FINE * FINE)
+    for p in range(len(out)):
+        square = off[min(max(p // FINE, 1), _LAST - 1), min(max(p % FINE, 1), _LAST - 1)]
+        out[p] = max(math.sqrt(square) - model[0].node_noise * gap, 0.0)
+    return out, gap, short, long
 
 
 @compiled(

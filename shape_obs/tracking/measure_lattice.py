@@ -17,12 +17,12 @@ from shape_obs.geometry.polyline import arc_length, closed, even_around
 from shape_obs.initialization.corners import best_corners, nearest_corners, rim_of
 from shape_obs.tracking.complete_lattice import rim_depth
 from shape_obs.tracking.model import DepthLimits
-from shape_obs.tracking.register_lattice import Vector, cross, match_corners, unit_vector
+from shape_obs.tracking.register_lattice import match_corners
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.uint8]
-Flags = npt.NDArray[np.bool_]
+Vector = tuple[float, float, float]
 
 UNBENT: Final = (90.0, 0.0, 0.0, 0.0)  # what ``assess_lattice`` returns of a rectangle
 
@@ -127,10 +127,11 @@ def turns_within(
         before = _away(space[(p - TURN_REACH) % RIM], space[p])
         after = _away(space[p], space[(p + TURN_REACH) % RIM])
         along = before[0] + after[0], before[1] + after[1], before[2] + after[2]
-        normal = unit_vector(*cross(along, _away(space[p], there[p])))
-        # Of a and b in the plane: sine and cosine are n (a x b) and a b - (n a) (n b).
-        sine = _product(cross(before, after), normal)
-        cosine = _product(before, after) - _product(before, normal) * _product(after, normal)
+        normal = _cross(along, _away(space[p], there[p]))
+        # Within the plane whose normal is n, sine and cosine of a and b are n (a x b) |n| and n^2 (a b) - (n a) (n b).
+        square = max(_product(normal, normal), 1e-24)
+        sine = _product(_cross(before, after), normal) * math.sqrt(square)
+        cosine = square * _product(before, after) - _product(before, normal) * _product(after, normal)
         turns[p] = abs(math.atan2(sine, cosine))
     return turns
 
@@ -145,3 +146,9 @@ def _away(start: Array, stop: Array) -> Vector:
 def _product(a: Vector, b: Vector) -> float:
     """Return the dot product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@compiled
+def _cross(a: Vector, b: Vector) -> Vector:
+    """Return the cross product."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

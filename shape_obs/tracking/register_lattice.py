@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.coons import SIDE, border_of, side_lengths
-from shape_obs.geometry.rotation import laid_flat, similarity
+from shape_obs.geometry.rotation import laid_flat, laid_over, similarity
 from shape_obs.tracking.model import gain_of
 from shape_obs.tracking.validation import ELSEWHERE, LONGER, NO_FAULT, SHORTER
 
@@ -23,7 +23,6 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 Complexes = npt.NDArray[np.complex128]
-Vector = tuple[float, float, float]
 
 _NEAREST: Final = 5  # places among which each corner is looked for
 _AROUND: Final = 1.5  # outlines: corners in order go around once, in another order twice
@@ -34,8 +33,6 @@ _CHORD: Final = 3  # points of a border to either side, over which it is seen to
 @compiled
 def match_corners(expected: Array, corners: Array) -> tuple[int, int, float]:
     """Return how a sheet's corners are numbered, and which one lies farthest from where the other three put it.
-
-    The similarity transform of complex numbers is one product: the least squares of ``found = a expected + b``.
 
     Args:
         expected: ``(4, D)`` predicted corners, clockwise.
@@ -61,54 +58,16 @@ def match_corners(expected: Array, corners: Array) -> tuple[int, int, float]:
             middle[d] += found[k, d] / 4
     worst, most, reach = 0, -1.0, 1e-18
     for k in range(4):
-        before, rise_before = _seen_by_the_others(expected, k)
-        after, rise_after = _seen_by_the_others(found, k)
-        product, spread, square = 0j, 1e-18, 0.0
-        for j in range(4):
-            if j != k:
-                product += before[j].conjugate() * after[j]
-                spread += before[j].real ** 2 + before[j].imag ** 2
-        product /= spread
-        astray = math.hypot(abs(before[k] * product - after[k]), rise_before * abs(product) - rise_after)
-        if astray > most:
-            worst, most = k, astray
+        others, off, square = np.ones(4, np.bool_), 0.0, 0.0
+        others[k] = False
+        placed = laid_over(expected, found, others, True)
         for d in range(dimension):
+            off += (placed[k, d] - found[k, d]) ** 2
             square += (found[k, d] - middle[d]) ** 2
+        if off > most:
+            worst, most = k, off
         reach = max(reach, square)
-    return quarters, worst, most / math.sqrt(reach)
-
-
-@compiled
-def _seen_by_the_others(corners: Array, k: int) -> tuple[Complexes, float]:
-    """Return ``(4,)`` corners as complex numbers in the plane of all but the k-th, and how far that one lies above."""
-    away = np.zeros((4, 3))
-    for d in range(corners.shape[1]):
-        middle = (corners[k - 1, d] + corners[k - 2, d] + corners[k - 3, d]) / 3
-        for j in range(4):
-            away[j, d] = corners[j, d] - middle
-    right, normal = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
-    if corners.shape[1] == 3:
-        right = unit_vector(away[k - 1, 0], away[k - 1, 1], away[k - 1, 2])
-        normal = unit_vector(*cross(right, (away[k - 2, 0], away[k - 2, 1], away[k - 2, 2])))
-    up = cross(normal, right)
-    seen = np.empty(4, np.complex128)
-    for j in range(4):
-        x, y, z = away[j, 0], away[j, 1], away[j, 2]
-        seen[j] = complex(x * right[0] + y * right[1] + z * right[2], x * up[0] + y * up[1] + z * up[2])
-    return seen, away[k, 0] * normal[0] + away[k, 1] * normal[1] + away[k, 2] * normal[2]
-
-
-@compiled
-def unit_vector(x: float, y: float, z: float) -> Vector:
-    """Return a vector of length 1; zeros for zeros."""
-    length = max(math.sqrt(x * x + y * y + z * z), 1e-18)
-    return x / length, y / length, z / length
-
-
-@compiled
-def cross(a: Vector, b: Vector) -> Vector:
-    """Return the cross product."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    return quarters, worst, math.sqrt(most / reach)
 
 
 @compiled
