@@ -119,7 +119,7 @@ def _heading(curve: Array, share: float, width: float, out: Array) -> None:
     out[0], out[1] = (far_u - u) / norm, (far_v - v) / norm
 
 
-@compiled(inline=True)
+@compiled
 def depth_at(depth: DepthImages, u: float, v: float) -> float:
     """Return the depth at a pixel in metres; 0 where there is none."""
     millimetres, metric = depth

@@ -16,10 +16,9 @@ import numpy.typing as npt
 
 from shape_obs.camera import viewing_rays
 from shape_obs.compiled import compiled
-from shape_obs.frame import DEPTH_TYPE, DepthImages
+from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages
 from shape_obs.geometry.coons import FINE
 from shape_obs.image.connected_runs import nearest_pixel
-from shape_obs.image.over_under import depth_at
 from shape_obs.tracking.model import LatticeConstants, LatticeModel, Model  # noqa: F401 - the first in a signature
 
 Array = npt.NDArray[np.float64]
@@ -146,10 +145,10 @@ def isometry_in_image(
     space, focal, torn, turned, spacing = viewing_rays(lattice, lens), (lens[0] + lens[1]) / 2, 0.0, 0.0, 0.0
     steps, begins = np.zeros((2, FINE // 2, FINE)), np.empty(FINE, np.int64)
     trends, falls = np.zeros((2, FINE // 2, FINE)), np.zeros((2, FINE // 2, 2))
+    z = _own_depths(lattice, depth, mask, at)
     for p in range(len(lattice)):
-        z = np.nan if hidden[p] else _own_depth(lattice[p, 0], lattice[p, 1], depth, mask, at)
         for d in range(3):
-            space[p, d] *= z
+            space[p, d] = np.nan if hidden[p] else space[p, d] * z[p]
     for down in range(2):
         for i in range(FINE // 2):
             first, step = (2 * i + 1, FINE) if down else ((2 * i + 1) * FINE, 1)
@@ -187,14 +186,26 @@ def isometry_in_image(
     return off, gap, short, long, torn, turned
 
 
-@compiled(inline=True)
-def _own_depth(u: float, v: float, depth: DepthImages, mask: Mask, at: Place) -> float:
-    """Return the depth of a pixel of the mask, metres; NaN where it is unknown."""
-    x, y = nearest_pixel(u) - at[0], nearest_pixel(v) - at[1]
-    if not (0 <= y < mask.shape[0] and 0 <= x < mask.shape[1]) or mask[y, x] == 0:
-        return np.nan
-    z = depth_at(depth, u, v)
-    return z if z > 0 else np.nan
+@compiled
+def _own_depths(places: Array, depth: DepthImages, mask: Mask, at: Place) -> Array:
+    """Return the depth of pixels ``(P, 2)`` of the mask, metres ``(P,)``; NaN where it is unknown."""
+    z = np.full(len(places), np.nan)
+    if len(depth[0]) > 0:
+        _read(places, depth[0], MILLIMETRE, mask, at, z)
+    else:
+        _read(places, depth[1], 1.0, mask, at, z)
+    return z
+
+
+@compiled
+def _read(places: Array, depth: npt.NDArray[Any], unit: float, mask: Mask, at: Place, z: Array) -> None:
+    """Fill ``_own_depths`` from one kind of image, which is several times as fast as ``depth_at`` pixel by pixel."""
+    for p in range(len(places)):
+        column, row = nearest_pixel(places[p, 0]), nearest_pixel(places[p, 1])
+        x, y = column - at[0], row - at[1]
+        if 0 <= y < mask.shape[0] and 0 <= x < mask.shape[1] and mask[y, x] != 0:
+            metres = depth[row, column] * unit
+            z[p] = metres if 0 < metres < FARTHEST else np.nan
 
 
 @compiled
@@ -209,15 +220,14 @@ def _profile(
             p, q = nodes[k], nodes[k + 1]
             pixels = max(abs(lattice[q, 0] - lattice[p, 0]), abs(lattice[q, 1] - lattice[p, 1]))
             count += min(max(math.ceil(pixels), 1), _SAMPLES)
-    z = np.full(count + 1, np.nan)
+    places = np.full((count + 1, 2), np.nan)
     for k in range(FINE):
         p, q = nodes[k], nodes[min(k + 1, _LAST)]
         samples = begins[k + 1] - begins[k] if k < _LAST else 1
-        if not hidden[p]:
-            across, down = (lattice[q, 0] - lattice[p, 0]) / samples, (lattice[q, 1] - lattice[p, 1]) / samples
-            for j in range(samples):
-                z[begins[k] + j] = _own_depth(lattice[p, 0] + across * j, lattice[p, 1] + down * j, depth, mask, at)
-    return z
+        for j in range(0 if hidden[p] else samples):
+            for d in range(2):
+                places[begins[k] + j, d] = lattice[p, d] + (lattice[q, d] - lattice[p, d]) / samples * j
+    return _own_depths(places, depth, mask, at)
 
 
 @compiled
