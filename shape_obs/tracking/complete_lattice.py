@@ -50,11 +50,11 @@ def complete_border(
     """Return the whole border of a sheet of which a part is seen.
 
     Args:
-        expected: ``(96, 2)`` pixels, the border where it is predicted or as it was, 24 points to a side.
+        expected: ``(96, 2)`` pixels, the border where it is predicted, 24 points to a side.
         known: ``(96, D)`` the border as it was, wherever it lay.
         rim: ``(400, 2)`` pixels, the outline.
         space: ``(400, D)`` the same, in metres where it is known.
-        corners: ``(4,)`` points of the rim; -1 for a hidden one.
+        corners: ``(4,)`` points of the rim; -1 for a hidden one, or for all if none can be matched.
         cut: ``(400,)`` whether something lies over what is behind this point.
         kinks: ``(400,)`` radians by which it turns within the sheet.
         sides: ``(4,)`` the known lengths.
@@ -66,7 +66,7 @@ def complete_border(
         and the last point of each piece around a corner that is hidden though nothing lies over it: it is folded.
     """
     trimmed, metric, folded = int(model.trimmed), space.shape[1] == 3, np.empty((4, 2), np.int64)
-    found, seen = _followed(expected, rim, space, corners, cut, kinks, sides, tolerance, model)
+    found, seen = _followed(expected if metric else known, rim, space, corners, cut, kinks, sides, tolerance, model)
     if np.count_nonzero(seen) < model.min_seen * len(seen):
         return found[:0], seen, folded[:0]
     points = laid_over(_stretched(known, corners, sides), found, seen, False)

@@ -57,6 +57,23 @@ def find_corners(rim: Any, seen: Array, nodes: Array, best: bool) -> Indices:
 
 
 @compiled
+def numbered_corners(rim: Any, nodes: Array, best: bool) -> tuple[Indices, int, float]:
+    """Return the corners of a sheet in an image as they are predicted, see ``find_corners``, ``(4,)`` or ``(0,)``.
+
+    And which of them is farthest from where the others put it, and how far, see ``match_corners``.
+    """
+    corners, number, moved, places = find_corners(rim, rim.points, nodes, best), 0, 0.0, np.empty((4, 2))
+    if len(corners) > 0 and len(nodes) > 0:
+        found = corners.copy()
+        for k in range(4):
+            places[k, 0], places[k, 1] = rim.points[found[k], 0], rim.points[found[k], 1]
+        quarters, number, moved = match_corners(corners_of(nodes), places)
+        for k in range(4):
+            corners[k] = found[(k + quarters) % 4]
+    return corners, number, moved
+
+
+@compiled
 def corners_of(nodes: Array) -> Array:
     """Return ``(4, D)`` the corners of a lattice ``(625, D)``, clockwise."""
     corners = np.empty((4, nodes.shape[1]))

@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.coons import SIDE, border_of, side_lengths
+from shape_obs.geometry.coons import RIM, SIDE, border_of, side_lengths
+from shape_obs.geometry.polyline import arc_length, closed
 from shape_obs.geometry.rotation import laid_flat, laid_over, similarity
 from shape_obs.tracking.model import gain_of
 from shape_obs.tracking.validation import ELSEWHERE, LONGER, NO_FAULT, SHORTER
@@ -68,6 +69,33 @@ def match_corners(expected: Array, corners: Array) -> tuple[int, int, float]:
             worst, most = k, off
         reach = max(reach, square)
     return quarters, worst, math.sqrt(most / reach)
+
+
+@compiled
+def visible_corners(
+    rim: Any, space: Array, cut: Mask, expected: Array, sides: Array, tolerance: Array, model: Any
+) -> Indices:
+    """Return which points of an outline are the corners of a sheet, ``(4,)``, -1 for a hidden one, or for all.
+
+    Args:
+        rim: A ``Rim``.
+        space: ``(400, D)`` its points in the unit of the sides.
+        cut: ``(400,)`` whether something lies over it there.
+        expected: As ``assign_corners`` takes it, and the next two.
+        sides: Lengths.
+        tolerance: The same.
+        model: The constants, one ``LatticeModel``.
+    """
+    arc, places, arcs = arc_length(closed(space)), np.empty((len(rim.candidates), 2)), np.empty(len(rim.candidates))
+    which, count, spread = np.empty_like(rim.candidates), 0, model.corner_spread[space.shape[1] - 2]
+    for q in rim.candidates:
+        if not cut[q]:
+            places[count, 0], places[count, 1] = rim.points[q, 0], rim.points[q, 1]
+            arcs[count], which[count], count = arc[q], q, count + 1
+    found, _ = assign_corners(expected, places[:count], arcs[:count], arc[RIM], sides, tolerance, spread, model)
+    for k in range(4):
+        found[k] = which[found[k]] if found[k] >= 0 else -1
+    return found
 
 
 @compiled
@@ -246,6 +274,29 @@ def learn_sheet(known: Array, patch: Array, sides: Array, lasted: float, model: 
         for d in range(2):
             laid[p, d] += min(max(share * (patch[p, d] - laid[p, d]), -most), most)
     return laid, learnt
+
+
+@compiled
+def rescaled(border: Array, seen: Mask, sides: Array, most: float) -> Array:
+    """Return the lengths of all sides in an image, which grow and shrink as those do that are seen from end to end.
+
+    Args:
+        border: ``(96, 2)`` as it lies.
+        seen: ``(96,)`` whether the outline shows it.
+        sides: ``(4,)`` known lengths.
+        most: By which share of it a length may change.
+    """
+    lengths, ratios, count, learnt = side_lengths(border), np.empty(4), 0, sides.copy()
+    for k in range(4):
+        whole = True
+        for i in range(SIDE + 1):
+            whole = whole and seen[(SIDE * k + i) % len(seen)]
+        if whole:
+            ratios[count] = lengths[k] / sides[k]
+            count += 1
+    for k in range(4 if count > 0 else 0):
+        learnt[k] *= min(max(np.median(ratios[:count]), 1 - most), 1 + most)
+    return learnt
 
 
 @compiled

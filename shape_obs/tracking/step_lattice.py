@@ -7,7 +7,7 @@ is compared with what is known of it; where something hides its border, that is 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from shape_obs.camera import projected
 from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, DepthImages
-from shape_obs.geometry.coons import FINE, RIM, SIDE, blend_sides, border_of, coons_patch, side_lengths, sides_of
+from shape_obs.geometry.coons import FINE, RIM, blend_sides, border_of, coons_patch, side_lengths, sides_of
 from shape_obs.geometry.lattice import assess_lattice, lattice_gauges
 from shape_obs.geometry.outline import SAMPLED, material_outline
 from shape_obs.geometry.polyline import arc_length, closed
@@ -25,16 +25,10 @@ from shape_obs.image.outline_tracing import trace_largest
 from shape_obs.image.over_under import depth_at
 from shape_obs.initialization.corners import rim_of
 from shape_obs.tracking.complete_lattice import Edges, complete_border, hide_folded, rim_depth
-from shape_obs.tracking.measure_lattice import UNBENT, corners_of, find_corners, in_space, turns_within
+from shape_obs.tracking.measure_lattice import UNBENT, corners_of, in_space, numbered_corners, turns_within
 from shape_obs.tracking.measure_ring import MIN_SAMPLES
 from shape_obs.tracking.model import LatticeConstants, Model  # noqa: F401 - the first in a signature
-from shape_obs.tracking.register_lattice import (
-    assign_corners,
-    compare_sheet,
-    doubtful_places,
-    learn_sheet,
-    match_corners,
-)
+from shape_obs.tracking.register_lattice import compare_sheet, doubtful_places, learn_sheet, rescaled, visible_corners
 from shape_obs.tracking.validation import (
     NO_CORNERS,
     NO_FAULT,
@@ -80,40 +74,6 @@ class SheetStep(NamedTuple):
     width: float
 
 
-class _Frame(NamedTuple):
-    """What is seen around a sheet, as ``step_sheet`` takes it."""
-
-    depth: DepthImages
-    mask: Mask
-    left: int
-    top: int
-    lens: Array
-
-
-class _Known(NamedTuple):
-    """What is known of a sheet before a frame; all is empty without a track.
-
-    Args:
-        nodes: ``(625, 2)`` pixels, where it is predicted.
-        lattice: ``(625, D)`` as it was, wherever it lay.
-        sides: ``(4,)`` the lengths of its sides, in the unit of the lattice.
-        tolerance: ``(4,)`` by which they may be off.
-        gap: Between two points that are asked for, pixels.
-        lasted: Seconds for which this frame counts.
-    """
-
-    nodes: Array
-    lattice: Array
-    sides: Array
-    tolerance: Array
-    gap: float
-    lasted: float
-
-
-#: Fault, quality, nodes, hidden, reference and sides of a ``SheetStep``.
-_Placed = tuple[Fault, float, Array, Flags, Array, Array]
-
-
 @compiled(
     "(u1[:,::1], i8[:,::1], i8, i8, i8, " + DEPTH_TYPE + ", UniTuple(i8, 4), f8[::1], f8[:,::1], f8[:,::1], f8[::1], "
     "f8, UniTuple(i8, 2), f8, LatticeConstants[::1])"
@@ -141,11 +101,11 @@ def step_sheet(
         freedom: How far a corner may move that the others do not, see ``validate_sheet``.
         model: ``(1,)`` the constants.
     """
-    constants, frame, nothing = model[0], _Frame(depth, mask, left, top, lens), np.zeros(0)
+    constants, nothing, blank = model[0], np.zeros(0), np.empty((0, 2))
     traced, width = trace_largest(mask, runs, pieces, left, top)
-    placed = _refused(NO_CORNERS, 0, sides)
+    fault, quality, pixels, hidden, learnt, lengths = (NO_CORNERS, 0, 0.0, 0.0), 0.0, blank, nothing > 0, blank, sides
     if len(traced) <= SAMPLED * (MIN_SAMPLES - 1):
-        return SheetStep(*placed, nothing, nothing, width)
+        return SheetStep(fault, quality, pixels, hidden, learnt, lengths, nothing, nothing, width)
     rim = rim_of(material_outline(traced, False)[1])
     limits = (
         constants.nearer, constants.at_edge, constants.depth_reach, constants.min_reach, constants.max_reach,
@@ -155,15 +115,14 @@ def step_sheet(
     space, covered = in_space(rim.points, z, lens), np.count_nonzero(cut) / RIM
     cold, clear, deep = len(nodes) == 0, covered == 0, len(space) > 0
     space = space if deep else rim.points
-    lattice, lengths, tolerance = reference, sides, np.empty(4)
+    known, before, tolerance = reference, sides, np.empty(4)
     if not cold and (len(reference) == 0 or reference.shape[1] > space.shape[1]):
-        lattice, lengths = nodes, side_lengths(border_of(nodes))
-    metric = 1 if not cold and lattice.shape[1] == 3 else 0
+        known, before = nodes, side_lengths(border_of(nodes))
+    metric = not cold and known.shape[1] == 3
     scale = arc_length(closed(space))[RIM] / (RIM * rim.step) if metric else 1.0
     for k in range(4):
-        tolerance[k] = max(constants.length_tolerance[metric] * lengths[k], constants.border_noise * scale)
-    gap = min(lengths[0] / size[1], lengths[1] / size[0])
-    known = _Known(nodes, lattice, lengths, tolerance, gap, lasted)
+        share = constants.length_tolerance[1 if metric else 0]
+        tolerance[k] = max(share * before[k], constants.border_noise * scale)
     for way in range(4):
         if cold:
             possible = way == _BEST
@@ -173,173 +132,76 @@ def step_sheet(
             possible = clear or way == _COMPLETED
         if not possible:
             continue
+        code, number, moved, kink, kinks = NO_FAULT, 0, 0.0, 0.0, np.zeros(RIM)
+        there = space if metric or way != _COMPLETED else rim.points
+        patch, border, seen, folded = there[:0], there[:0], cut[:0], np.empty((0, 2), np.int64)
         if way == _COMPLETED:
-            kinks = np.zeros(RIM)
             if metric:
                 inner = constants.inner * width
                 kinks = turns_within(rim.points, space, depth, mask, left, top, width, lens, limits, inner)
-            found = _completed(rim, space if metric else rim.points, cut, kinks, known, frame, covered, constants)
+            corners = visible_corners(rim, there, cut, corners_of(nodes), before, tolerance, constants)
+            border, seen, folded = complete_border(
+                border_of(nodes), border_of(known), rim.points, there, corners, cut, kinks, before, tolerance, constants
+            )
+            if len(border) > 0:
+                patch = blend_sides(sides_of(border))
         else:
-            found = _seen_as_whole(rim, space, known, frame, way == _BEST, way == _BUCKLED, freedom, model)
-        if found[0][0] == NO_FAULT or cold or way == _NEAREST or not clear:
-            placed = found
-        if found[0][0] == NO_FAULT:
+            corners, number, moved = numbered_corners(rim, nodes, way == _BEST)
+            if len(corners) > 0:
+                patch, kink = coons_patch(rim, there, corners)
+        places = projected(patch, lens) if patch.shape[1] == 3 else patch
+        if len(places) == 0:
+            code, number = TOO_FEW_CORNERS if cold else NO_CORNERS, len(rim.candidates)
+            code = OUT_OF_SIGHT if len(patch) > 0 else TOO_LITTLE if way == _COMPLETED else code
+            if cold or way == _NEAREST or not clear:
+                fault = code, number, 0.0, 0.0
+            continue
+        off, inside = 0, near_mask(mask, left, top, places, 1)
+        unseen, now, sides_now = np.zeros(len(places), np.bool_), patch, before
+        if not cold and not metric:
+            unseen = doubtful_places(known, places, min(before[0] / size[1], before[1] / size[0]), constants)
+        for p in range(len(places)):
+            off += not inside[p]
+            unseen[p] = unseen[p] or not inside[p]
+        if way == _COMPLETED:
+            verdict, value = (NO_FAULT, 0, 0.0, 0.0), math.sqrt(np.count_nonzero(seen) / len(seen))
+            if len(folded) > 0:
+                hide_folded(folded, before, unseen)
+            elif metric and covered < constants.barely_cut:
+                through = 0
+                for p in range(len(patch)):
+                    behind = depth_at(depth, places[p, 0], places[p, 1]) if not inside[p] else 0.0
+                    through += behind > patch[p, 2] + constants.behind
+                if through > constants.max_seen_through * len(patch):
+                    code = NOTHING_OVER
+            if not metric:
+                now, sides_now = known, rescaled(border, seen, before, constants.max_stretch[1] * lasted)
+        else:
+            measures = UNBENT
+            if not metric:
+                flat = flattened(patch) if patch.shape[1] == 3 else patch
+                measures = assess_lattice(flat.reshape(FINE, FINE, 2))
+            elif way != _BUCKLED:  # the lengths of the sides say more
+                number, moved = 0, 0.0
+            verdict, value = judge_sheet(off / len(places), measures, kink, number, moved, freedom, model)
+            if not cold:
+                laid = border_of(patch if metric else places)
+                code, number = compare_sheet(
+                    laid, border_of(known), before, tolerance, metric, way == _BUCKLED, constants
+                )
+            if cold or known.shape[1] < patch.shape[1]:
+                sides_now = side_lengths(border_of(patch))
+            elif not (metric and way == _BUCKLED):
+                now, sides_now = learn_sheet(known, patch, before, lasted, constants)
+        if code != NO_FAULT:
+            verdict = code, number, 0.0, 0.0
+        if verdict[0] == NO_FAULT or cold or way == _NEAREST or not clear:
+            fault, quality, pixels, hidden, learnt, lengths = verdict, value, places, unseen, now, sides_now
+        if verdict[0] == NO_FAULT:
             break
-    fault, quality, lattice, hidden, learnt, lengths = placed
     if len(reference) > 0 and reference.shape[1] > learnt.shape[1]:  # this frame has lost its depth
         learnt, lengths = reference, sides
     down = right = nothing
     if fault[0] == NO_FAULT:
-        down, right = lattice_gauges(lattice.reshape(FINE, FINE, 2))
-    return SheetStep(fault, quality, lattice, hidden, learnt, lengths, down, right, width)
-
-
-@compiled
-def _refused(code: int, number: int, sides: Array) -> _Placed:
-    """Return that no sheet was found, and why."""
-    nothing = np.empty((0, 2))
-    return (code, number, 0.0, 0.0), 0.0, nothing, np.zeros(0, np.bool_), nothing, sides
-
-
-@compiled
-def _seen_as_whole(
-    rim: Any, space: Array, known: Any, frame: Any, best: bool, buckled: bool, freedom: float, model: Model
-) -> _Placed:
-    """Lay the lattice between four corners that are all seen, and compare it with what is known of the sheet.
-
-    Args:
-        rim: A ``Rim``.
-        space: ``(400, D)`` its points, in metres where there is depth.
-        known: A ``_Known``.
-        frame: A ``_Frame``.
-        best: Whether the corners are those most like a sheet's, not those nearest to the predicted ones.
-        buckled: Whether sides may be shorter, since nothing lies over them that could hide a part.
-        freedom: How far a corner may move that the others do not.
-        model: ``(1,)`` the constants.
-    """
-    tracked = len(known.nodes) > 0
-    metric = tracked and known.lattice.shape[1] == 3
-    corners, number, moved = find_corners(rim, rim.points, known.nodes, best), 0, 0.0
-    if len(corners) == 0:
-        return _refused(NO_CORNERS if tracked else TOO_FEW_CORNERS, len(rim.candidates), known.sides)
-    if tracked:
-        found, places = corners.copy(), np.empty((4, 2))
-        for k in range(4):
-            places[k, 0], places[k, 1] = rim.points[found[k], 0], rim.points[found[k], 1]
-        quarters, number, moved = match_corners(corners_of(known.nodes), places)
-        for k in range(4):
-            corners[k] = found[(k + quarters) % 4]
-    patch, kink = coons_patch(rim, space, corners)
-    lattice = projected(patch, frame.lens) if patch.shape[1] == 3 else patch
-    if len(lattice) == 0:
-        return _refused(OUT_OF_SIGHT, 0, known.sides)
-    hidden, off = _hidden_nodes(lattice, known, tracked and not metric, frame, model[0])
-    code, side = NO_FAULT, 0
-    if tracked:
-        border = border_of(patch if metric else lattice)
-        known_border = border_of(known.lattice)
-        code, side = compare_sheet(border, known_border, known.sides, known.tolerance, metric, buckled, model[0])
-    measures = UNBENT
-    if not metric:
-        flat = flattened(patch) if patch.shape[1] == 3 else patch
-        measures = assess_lattice(flat.reshape(FINE, FINE, 2))
-    if metric and not buckled:  # the lengths of the sides say more
-        number, moved = 0, 0.0
-    fault, quality = judge_sheet(off, measures, kink, number, moved, freedom, model)
-    if code != NO_FAULT:
-        fault = code, side, 0.0, 0.0
-    learnt, sides = patch, known.sides
-    if not tracked or known.lattice.shape[1] < patch.shape[1]:
-        sides = side_lengths(border_of(patch))
-    elif not (metric and buckled):
-        learnt, sides = learn_sheet(known.lattice, patch, known.sides, known.lasted, model[0])
-    return fault, quality, lattice, hidden, learnt, sides
-
-
-@compiled
-def _completed(
-    rim: Any, space: Array, cut: Flags, kinks: Array, known: Any, frame: Any, covered: float, model: Any
-) -> _Placed:
-    """Lay the lattice between sides of which a part is hidden and put back.
-
-    Args:
-        rim: A ``Rim``.
-        space: ``(400, D)`` its points in the unit in which the sheet is known.
-        cut: ``(400,)`` where something lies over it, see ``rim_depth``.
-        kinks: ``(400,)`` see ``turns_within``.
-        known: A ``_Known``.
-        frame: A ``_Frame``.
-        covered: The share of the rim next to which something nearer is seen.
-        model: The constants, one ``LatticeModel``.
-    """
-    metric, sides, corners = space.shape[1] == 3, known.sides, np.empty(4, np.int64)
-    arc, places, arcs = arc_length(closed(space)), np.empty((len(rim.candidates), 2)), np.empty(len(rim.candidates))
-    which, count, spread = np.empty_like(rim.candidates), 0, model.corner_spread[1 if metric else 0]
-    for q in rim.candidates:
-        if not cut[q]:
-            places[count, 0], places[count, 1] = rim.points[q, 0], rim.points[q, 1]
-            arcs[count], which[count], count = arc[q], q, count + 1
-    found, cost = assign_corners(
-        corners_of(known.nodes), places[:count], arcs[:count], arc[RIM], sides, known.tolerance, spread, model
-    )
-    if not math.isfinite(cost):
-        return _refused(TOO_LITTLE, 0, sides)
-    for k in range(4):
-        corners[k] = which[found[k]] if found[k] >= 0 else -1
-    before = border_of(known.lattice)
-    predicted = border_of(known.nodes) if metric else before
-    border, seen, folded = complete_border(
-        predicted, before, rim.points, space, corners, cut, kinks, sides, known.tolerance, model
-    )
-    if len(border) == 0:
-        return _refused(TOO_LITTLE, 0, sides)
-    patch = blend_sides(sides_of(border))
-    lattice = projected(patch, frame.lens) if metric else patch
-    if len(lattice) == 0:
-        return _refused(OUT_OF_SIGHT, 0, sides)
-    hidden, _ = _hidden_nodes(lattice, known, not metric, frame, model)
-    fault = NO_FAULT, 0, 0.0, 0.0
-    if len(folded) > 0:
-        hide_folded(folded, sides, hidden)
-    elif metric and covered < model.barely_cut:
-        through = 0
-        for p in range(len(patch)):
-            through += hidden[p] and depth_at(frame.depth, lattice[p, 0], lattice[p, 1]) > patch[p, 2] + model.behind
-        if through > model.max_seen_through * len(patch):
-            fault = NOTHING_OVER, 0, 0.0, 0.0
-    if not metric:
-        patch, sides = known.lattice, _rescaled(border, seen, known, model)
-    return fault, math.sqrt(np.count_nonzero(seen) / len(seen)), lattice, hidden, patch, sides
-
-
-@compiled
-def _hidden_nodes(lattice: Array, known: Any, compared: bool, frame: Any, model: Any) -> tuple[Flags, float]:
-    """Return which nodes of a lattice in pixels are hidden ``(625,)``, and which share of them lies off the mask.
-
-    They lie off the mask or, if they are compared with what is known of the sheet, elsewhere than its form has them.
-    """
-    off, inside = 0, near_mask(frame.mask, frame.left, frame.top, lattice, 1)
-    hidden = doubtful_places(known.lattice, lattice, known.gap, model) if compared else np.zeros(len(lattice), np.bool_)
-    for p in range(len(lattice)):
-        off += not inside[p]
-        hidden[p] = hidden[p] or not inside[p]
-    return hidden, off / len(lattice)
-
-
-@compiled
-def _rescaled(border: Array, seen: Flags, known: Any, model: Any) -> Array:
-    """Return the lengths of all sides in an image, which grow and shrink as those do that are seen from end to end."""
-    lengths, ratios, count = side_lengths(border), np.empty(4), 0
-    for k in range(4):
-        whole = True
-        for i in range(FINE):
-            whole = whole and seen[(SIDE * k + i) % len(seen)]
-        if whole:
-            ratios[count] = lengths[k] / known.sides[k]
-            count += 1
-    if count == 0:
-        return known.sides
-    most, learnt = model.max_stretch[1] * known.lasted, np.empty(4)
-    for k in range(4):
-        learnt[k] = known.sides[k] * min(max(np.median(ratios[:count]), 1 - most), 1 + most)
-    return learnt
+        down, right = lattice_gauges(pixels.reshape(FINE, FINE, 2))
+    return SheetStep(fault, quality, pixels, hidden, learnt, lengths, down, right, width)
