@@ -16,11 +16,13 @@ from shape_obs.geometry.coons import FINE
 from shape_obs.geometry.curve import TrackHints
 from shape_obs.geometry.lattice import FittedLattice, lattice_gauges, sample_lattice, uneven_places
 from shape_obs.geometry.observed import Observed
+from shape_obs.geometry.outline import material_outline
+from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.topology import Grid, undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells
 from shape_obs.image.region import Region
 from shape_obs.tracking.isometry import Isometry, isometry_in_image, isometry_in_space
-from shape_obs.tracking.measure_lattice import lay_patch_in_cloud, match_lattices
+from shape_obs.tracking.measure_lattice import match_lattices, patch_in_cloud
 from shape_obs.tracking.model import LatticeModel
 from shape_obs.tracking.predict import Fit, Prediction
 from shape_obs.tracking.step_lattice import step_sheet
@@ -31,8 +33,8 @@ Array = npt.NDArray[np.float64]
 _GRID: Final = Grid(FINE, FINE)  # the nodes that are kept from frame to frame, for any lattice that is sampled
 _NO_NODES, _NO_SIDES, _NOTHING = np.empty((0, 2)), np.zeros(4), np.zeros(0)  # without a track; without a camera
 _COMPILED: Final = (
-    step_sheet, lay_patch_in_cloud, match_lattices, judge_sheet, isometry_in_image, isometry_in_space, lattice_gauges,
-    sample_lattice, uneven_places,
+    step_sheet, patch_in_cloud, match_lattices, judge_sheet, isometry_in_image, isometry_in_space, lattice_gauges,
+    sample_lattice, uneven_places, arc_length, interpolate, material_outline,
 )  # fmt: skip
 
 
@@ -124,7 +126,7 @@ class Surface(Configuration, kind="surface"):
         outline, flat = (np.ascontiguousarray(each, dtype=np.float64) for each in observed.sheet_outline())
         fault = NO_CORNERS, 0, 0.0, 0.0
         for best in (False, True) if len(nodes) else (True,):
-            patch, kink, measures = lay_patch_in_cloud(outline, flat, nodes, best)
+            patch, kink, measures = patch_in_cloud(outline, flat, nodes, best)
             fault, number, moved = (NO_CORNERS, 0, 0.0, 0.0), 0, 0.0
             if not len(patch):
                 continue

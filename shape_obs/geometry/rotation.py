@@ -271,10 +271,14 @@ def laid_flat(points: Array, laying: tuple[complex, complex, complex]) -> Array:
 
 
 @compiled
-def laid_over(points: Array, others: Array, among: npt.NDArray[np.bool_], scaled: bool) -> Array:
-    """Return points ``(P, D)`` laid over others by those that count.
+def aligned(points: Array, others: Array, among: npt.NDArray[np.bool_], scaled: bool) -> Array:
+    """Return points ``(P, D)`` aligned with others by those that count, by a similarity, or in space by a motion.
 
-    They are laid by a similarity, in space by a rigid motion unless it is to be scaled.
+    Args:
+        points: ``(P, D)``.
+        others: ``(P, D)`` where they are to be.
+        among: ``(P,)`` which of them count.
+        scaled: Whether the scale is fitted in space too, where else the motion is rigid.
     """
     if points.shape[1] == 2:
         return laid_flat(points, similarity(points, others, among))

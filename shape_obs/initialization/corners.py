@@ -27,7 +27,6 @@ _CANDIDATES: Final = 10
 _LEAST_TURN: Final = 0.35  # radians; the corners of a sheet turn more, wherever it bends
 # How far from where a corner is expected it is looked for, in points: half of the least side of a sheet of 1:4.
 _NEAR: Final = 20
-_STEEP: Final = 0.3  # the angle of a smaller tangent is a series of a few terms, to 1e-9
 
 
 @compiled
@@ -72,22 +71,11 @@ def best_corners(rim: Any) -> Indices:
 @compiled
 def _turns(points: Array) -> Array:
     """Return ``(400,)`` radians by which a rim turns about each of its points."""
-    u, v = np.empty(RIM + 2 * TURN_REACH), np.empty(RIM + 2 * TURN_REACH)
-    for p in range(len(u)):
-        at = (p - TURN_REACH) % RIM
-        u[p], v[p] = points[at, 0], points[at, 1]
-    sine, cosine, turn = np.empty(RIM), np.empty(RIM), np.empty(RIM)
+    turn = np.empty(RIM)
     for p in range(RIM):
-        x, y = u[p + 2 * TURN_REACH] - u[p + TURN_REACH], v[p + 2 * TURN_REACH] - v[p + TURN_REACH]
-        back_x, back_y = u[p + TURN_REACH] - u[p], v[p + TURN_REACH] - v[p]
-        sine[p], cosine[p] = back_x * y - back_y * x, back_x * x + back_y * y
-        tangent = sine[p] / cosine[p] if cosine[p] > 0 else 0.0
-        square = tangent * tangent
-        tail = 1 / 9 - square * (1 / 11 - square * (1 / 13 - square * (1 / 15 - square / 17)))
-        turn[p] = tangent * (1 - square * (1 / 3 - square * (1 / 5 - square * (1 / 7 - square * tail))))
-    for p in range(RIM):
-        if abs(sine[p]) > _STEEP * cosine[p]:
-            turn[p] = math.atan2(sine[p], cosine[p])  # which is slow
+        here, before, after = points[p], points[p - TURN_REACH], points[(p + TURN_REACH) % RIM]
+        x, y, back_x, back_y = after[0] - here[0], after[1] - here[1], here[0] - before[0], here[1] - before[1]
+        turn[p] = math.atan2(back_x * y - back_y * x, back_x * x + back_y * y)
     return turn
 
 

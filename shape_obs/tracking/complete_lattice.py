@@ -17,7 +17,7 @@ from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, MILLIMETRE, DepthImages
 from shape_obs.geometry.coons import FINE, RIM, SIDE, TURN_REACH
 from shape_obs.geometry.polyline import arc_length, closed, interpolate
-from shape_obs.geometry.rotation import laid_over
+from shape_obs.geometry.rotation import aligned
 from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.image.over_under import depth_at
 from shape_obs.initialization.corners import nearest_of
@@ -69,7 +69,7 @@ def complete_border(
     found, seen = _followed(expected if metric else known, rim, space, corners, cut, kinks, sides, tolerance, model)
     if np.count_nonzero(seen) < model.min_seen * len(seen):
         return found[:0], seen, folded[:0]
-    points = laid_over(_stretched(known, corners, sides), found, seen, False)
+    points = aligned(_stretched(known, corners, sides), found, seen, False)
     misfit, sharp, count, square = np.empty((4 * SIDE + 1, space.shape[1])), np.empty(4 * SIDE + 1), 0, 0.0
     for p in range(4 * SIDE):
         if seen[p] and abs((p + SIDE // 2) % SIDE - SIDE // 2) > trimmed:  # corners are rounded
@@ -116,7 +116,7 @@ def _followed(
         if corners[k] >= 0:
             visible[SIDE * k] = True
             places[SIDE * k, 0], places[SIDE * k, 1] = rim[corners[k], 0], rim[corners[k], 1]
-    placed = laid_over(expected, places, visible, True)
+    placed = aligned(expected, places, visible, True)
     found, seen = np.zeros((4 * SIDE, space.shape[1])), np.zeros(4 * SIDE, np.bool_)
     for number in range(8):
         k, way = number // 2, 1 - number % 2 * 2

@@ -84,7 +84,7 @@ def corners_of(nodes: Array) -> Array:
 
 
 @compiled("(f8[:,::1], f8[:,::1], f8[:,::1], b1)")
-def lay_patch_in_cloud(
+def patch_in_cloud(
     outline: Array, flat: Array, nodes: Array, best: bool
 ) -> tuple[Array, float, tuple[float, float, float, float]]:
     """Return what ``coons_patch`` does over a sheet in a cloud, unrolled, and the measures of ``assess_lattice``.

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.geometry.coons import RIM, SIDE, border_of, side_lengths
 from shape_obs.geometry.polyline import arc_length, closed
-from shape_obs.geometry.rotation import laid_flat, laid_over, similarity
+from shape_obs.geometry.rotation import aligned, laid_flat, similarity
 from shape_obs.tracking.model import gain_of
 from shape_obs.tracking.validation import ELSEWHERE, LONGER, NO_FAULT, SHORTER
 
@@ -61,7 +61,7 @@ def match_corners(expected: Array, corners: Array) -> tuple[int, int, float]:
     for k in range(4):
         others, off, square = np.ones(4, np.bool_), 0.0, 0.0
         others[k] = False
-        placed = laid_over(expected, found, others, True)
+        placed = aligned(expected, found, others, True)
         for d in range(dimension):
             off += (placed[k, d] - found[k, d]) ** 2
             square += (found[k, d] - middle[d]) ** 2

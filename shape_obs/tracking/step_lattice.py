@@ -185,9 +185,9 @@ def step_sheet(
                 number, moved = 0, 0.0
             verdict, value = judge_sheet(off / len(places), measures, kink, number, moved, freedom, model)
             if not cold:
-                laid = border_of(patch if metric else places)
+                outer = border_of(patch if metric else places)
                 code, number = compare_sheet(
-                    laid, border_of(known), before, tolerance, metric, way == _BUCKLED, constants
+                    outer, border_of(known), before, tolerance, metric, way == _BUCKLED, constants
                 )
             if cold or known.shape[1] < patch.shape[1]:
                 sides_now = side_lengths(border_of(patch))
