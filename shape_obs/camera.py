@@ -322,14 +322,17 @@ def _distortion(x: float, y: float, lens: npt.NDArray[np.float64]) -> tuple[floa
 
 @compiled
 def projected(points: npt.NDArray[np.float64], lens: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the pixels ``(P, 2)`` of points ``(P, 3)``, metres, by ``Intrinsics.lens``; NaN behind the camera."""
-    out = np.full((len(points), 2), np.nan)
+    """Return points ``(P, 3)``, metres, as pixels ``(P, 2)``; ``(0, 2)`` if the camera does not see some of them."""
+    out = np.empty((len(points), 2))
     for p in range(len(points)):
-        if points[p, 2] > 0:
-            x, y = points[p, 0] / points[p, 2], points[p, 1] / points[p, 2]
-            radial, more_x, more_y = _distortion(x, y, lens) if lens[4] > 0 else (1.0, 0.0, 0.0)
-            out[p, 0] = (radial * x + more_x) * lens[0] + lens[2]
-            out[p, 1] = (radial * y + more_y) * lens[1] + lens[3]
+        if not points[p, 2] > 0:
+            return out[:0]
+        x, y = points[p, 0] / points[p, 2], points[p, 1] / points[p, 2]
+        radial, more_x, more_y = _distortion(x, y, lens) if lens[4] > 0 else (1.0, 0.0, 0.0)
+        out[p, 0] = (radial * x + more_x) * lens[0] + lens[2]
+        out[p, 1] = (radial * y + more_y) * lens[1] + lens[3]
+        if not max(abs(out[p, 0]), abs(out[p, 1])) < _MAX_PIXEL:
+            return out[:0]
     return out
 
 

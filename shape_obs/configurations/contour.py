@@ -84,9 +84,9 @@ class Contour(Configuration, kind="contour"):
             nodes, known, lasted = prediction.nodes, prediction.track.hints.reference, prediction.lasted
         given = nodes, _NOTHING if known is None else known
         if region is not None:
-            mask, (images, edge, _) = scene.around(region)
+            own, around = scene.around(region)
             step = step_ring_in_mask(
-                *mask, images, edge, scene.lens,
+                *own, *around,
                 -1 if self.hole is None else self.hole, self.ring, _ANYWHERE if target is None else target, *given,
                 lasted, self.model.record, self.model.depth_limits,
             )  # fmt: skip

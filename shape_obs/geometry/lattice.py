@@ -107,12 +107,6 @@ def _gauges(points: Array, rows: int) -> tuple[Array, Array]:
     return lattice_gauges(np.ascontiguousarray(lattice, dtype=np.float64))
 
 
-def flattened(points: Array) -> Array:
-    """Return ``(P, 2)`` points in space in the plane along which they spread most."""
-    away = points - points.mean(axis=0)
-    return np.ascontiguousarray(away @ np.linalg.eigh(away.T @ away)[1][:, 1:])
-
-
 @compiled("(f8[:,:,::1],)", reassociate=True)
 def lattice_gauges(lattice: Array) -> tuple[Array, Array]:
     """Return how far down each row lies ``(R,)`` and how far right each column ``(C,)``: mean distances, summed."""

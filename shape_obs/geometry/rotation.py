@@ -101,7 +101,7 @@ def best_rotation(covariance: Array) -> Array:
         cosine, sine = (along / reach, across / reach) if reach > 0 else (1.0, 0.0)
         return np.array([[cosine, sine], [-sine, cosine]])
     left, right = covariance.copy(), np.eye(3)
-    size = _orthogonalized(left, right)
+    size = orthogonalized(left, right)
     first = int(np.argmax(size))
     least = int(np.argmin(size)) if size.min() < size[first] else 2
     second = 3 - first - least
@@ -152,7 +152,7 @@ def largest_trace(covariance: Array) -> float:
 
 
 @compiled
-def _orthogonalized(left: Array, right: Array) -> Array:
+def orthogonalized(left: Array, right: Array) -> Array:
     """Rotate the columns of a matrix until they are orthogonal, and those of another alike; return their lengths.
 
     Args:
@@ -217,13 +217,13 @@ def _cross(rows: Array) -> None:
 
 
 @compiled
-def covariance_of(before: Array, after: Array, weight: Array) -> tuple[Array, Array, Array]:
+def covariance_of(before: Array, after: Array, weight: npt.NDArray[Any]) -> tuple[Array, Array, Array]:
     """Return the weighted sum of the products of two sets of points about their means, and both means.
 
     Args:
         before: ``(N, D)``.
         after: ``(N, D)``.
-        weight: ``(N,)``.
+        weight: ``(N,)`` how much each counts, or which of them count.
 
     Returns:
         ``(D, D)``, row a for coordinate a of the points before; ``(D,)``; ``(D,)``.
@@ -232,11 +232,11 @@ def covariance_of(before: Array, after: Array, weight: Array) -> tuple[Array, Ar
     covariance, first, second, whole = np.zeros((size, size)), np.zeros(size), np.zeros(size), weight.sum()
     for n in range(count):
         share = weight[n] / whole
-        for a in range(size):
+        for a in range(size if share > 0 else 0):  # what does not count need not be a number
             first[a] += share * before[n, a]
             second[a] += share * after[n, a]
     for n in range(count):
-        for a in range(size):
+        for a in range(size if weight[n] > 0 else 0):
             away = weight[n] * (before[n, a] - first[a])
             for b in range(size):
                 covariance[a, b] += away * (after[n, b] - second[b])
@@ -257,57 +257,40 @@ def spread_of(points: Array) -> float:
 
 
 @compiled
-def moved_rigidly(points: Array, before: Array, after: Array, weight: Array) -> Array:
-    """Return points ``(P, D)`` after the rigid motion that takes others ``(N, D)`` nearest to where they are now.
+def moved_onto(points: Array, before: Array, after: Array, weight: npt.NDArray[Any], scaled: bool) -> Array:
+    """Return points ``(P, D)`` after the motion that takes others ``(N, D)`` nearest to where they are, see ``fit``.
 
     Args:
         points: ``(P, D)``.
         before: ``(N, D)``.
         after: ``(N, D)`` the same points after the motion.
-        weight: ``(N,)`` how much each of them counts.
+        weight: ``(N,)`` how much each of them counts, or which of them count.
+        scaled: Whether the motion scales too; else it is rigid.
     """
     covariance, first, second = covariance_of(before, after, weight)
-    rotation, out = best_rotation(covariance), np.empty_like(points)
+    rotation, out, trace, square = best_rotation(covariance), np.empty_like(points), 0.0, 1e-18
+    for d in range(before.shape[1]):
+        for e in range(before.shape[1]):
+            trace += rotation[d, e] * covariance[d, e]
+        for n in range(len(before)):
+            square += weight[n] * (before[n, d] - first[d]) ** 2 if weight[n] > 0 else 0.0
+    scale = trace / square if scaled else 1.0
     for p in range(len(points)):
         for d in range(points.shape[1]):
             out[p, d] = second[d]
             for e in range(points.shape[1]):
-                out[p, d] += (points[p, e] - first[e]) * rotation[e, d]
+                out[p, d] += scale * (points[p, e] - first[e]) * rotation[e, d]
     return out
 
 
 @compiled
-def similarity(before: Array, after: Array, weight: npt.NDArray[Any]) -> tuple[complex, complex, complex]:
-    """Return the turn and scale in the plane that lays points over others, and the middles of both.
-
-    The least squares of complex numbers, ``after = turn (before - first) + second``, see S. Umeyama, "Least-Squares
-    Estimation of Transformation Parameters Between Two Point Patterns", 1991.
-
-    Args:
-        before: ``(P, 2)``.
-        after: ``(P, 2)``.
-        weight: ``(P,)`` how much each of them counts, or which of them count.
-    """
-    first = second = product = 0j
-    whole, square = 0.0, 1e-18
-    for p in range(len(before)):
-        share = 1.0 * weight[p]
-        first += share * complex(before[p, 0], before[p, 1])
-        second += share * complex(after[p, 0], after[p, 1])
-        whole += share
-    first, second = first / max(whole, 1e-18), second / max(whole, 1e-18)
-    for p in range(len(before)):
-        share, away = 1.0 * weight[p], complex(before[p, 0], before[p, 1]) - first
-        product += share * away.conjugate() * (complex(after[p, 0], after[p, 1]) - second)
-        square += share * (away.real * away.real + away.imag * away.imag)
-    return product / square, first, second
-
-
-@compiled
-def laid_flat(points: Array, laying: tuple[complex, complex, complex]) -> Array:
-    """Return points ``(P, 2)`` laid over others by a ``similarity``."""
-    out, (turn, first, second) = np.empty_like(points), laying
+def flattened(points: Array) -> Array:
+    """Return points in space ``(P, 3)`` in the plane along which they spread most, ``(P, 2)``."""
+    covariance, middle, _ = covariance_of(points, points, np.ones(len(points)))
+    axes, out = np.eye(3), np.zeros((len(points), 2))
+    least = int(np.argmin(orthogonalized(covariance, axes)))
     for p in range(len(points)):
-        place = turn * (complex(points[p, 0], points[p, 1]) - first) + second
-        out[p, 0], out[p, 1] = place.real, place.imag
+        for k in range(2):
+            for d in range(3):
+                out[p, k] += (points[p, d] - middle[d]) * axes[d, (least + 1 + k) % 3]
     return out

@@ -9,17 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
-from functools import lru_cache
-from itertools import combinations
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.coons import RIM, TURN_REACH, coons_patch
-from shape_obs.geometry.polyline import arc_length, closed, even_around, interpolate
+from shape_obs.geometry.coons import RIM, TURN_REACH, Rim
+from shape_obs.geometry.outline import enclosed_by
+from shape_obs.geometry.polyline import arc_length, closed, even_around
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -29,121 +27,55 @@ _CANDIDATES: Final = 10
 _LEAST_TURN: Final = 0.35  # radians; the corners of a sheet turn more, wherever it bends
 # How far from where a corner is expected it is looked for, in points: half of the least side of a sheet of 1:4.
 _NEAR: Final = 20
-_STEEP: Final = 0.3  # the angle of a smaller tangent is a series of a few terms, to 1e-9
 
 
-@dataclass(frozen=True, eq=False)
-class Rim:
-    """The closed outline of a sheet, 400 points evenly spaced, clockwise as seen.
-
-    Args:
-        points: ``(P, D)`` pixels or metres.
-        flat: ``(P, 2)`` the same unrolled into a plane; in an image the points themselves.
-        turn: ``(P,)`` radians by which the outline turns about each point, positive where it is convex.
-        candidates: ``(Q,)`` the points where it turns most, in order, at most ten.
-        step: Distance between two points along the flat outline.
-        grain: What the outline was smoothed over, in its unit: the steps it was traced in.
-    """
-
-    points: Array
-    flat: Array
-    turn: Array
-    candidates: Indices
-    step: float
-    grain: float
-
-    @classmethod
-    def along(cls, outline: Array, flat: Array) -> Rim:
-        """Build the rim of a closed outline ``(P, D)`` and of the same unrolled ``(P, 2)``, no point repeated."""
-        even, turn, candidates, step, grain = rim_of(np.ascontiguousarray(flat, dtype=np.float64))
-        if outline is flat:
-            return cls(even, even, turn, candidates, step, grain)
-        arc = arc_length(np.ascontiguousarray(np.concatenate([flat, flat[:1]])))
-        at = np.arange(RIM) * (arc[-1] / RIM)
-        points = interpolate(np.ascontiguousarray(np.concatenate([outline, outline[:1]])), arc, at)
-        return cls(points, even, turn, candidates, step, grain)
-
-    def corners(self) -> Indices | None:
-        """Return ``(4,)`` the points most like the corners of a sheet, clockwise; None if there are not four."""
-        if len(self.candidates) < 4:
-            return None
-        chosen = self.candidates[_fours(len(self.candidates))]
-        following = np.roll(chosen, -1, axis=1)
-        places = self.flat[chosen]
-        sides = places[:, [1, 2, 3, 0]] - places
-        chord = np.maximum(np.linalg.norm(sides, axis=-1), 1e-9)
-        winding = ((following - chosen) % RIM * self.step / chord - 1).sum(axis=1)
-        blunt = (1 - np.minimum(self.turn[chosen] / _RIGHT_ANGLE, 1)).sum(axis=1)
-        left_out = np.abs(1 - _area(places) / max(float(_area(self.flat[None])[0]), 1e-9))
-        return chosen[np.argmin(winding + blunt + left_out)]
-
-    def corners_near(self, expected: Array) -> Indices | None:
-        """Return the corner nearest to each place, or the outline's nearest point if there is no corner.
-
-        Args:
-            expected: ``(4, D)`` clockwise as seen.
-
-        Returns:
-            ``(4,)`` points; None when they are not in order around the outline.
-        """
-        found = nearest_corners(self.points, self.candidates, self.step, expected)
-        return found if len(found) else None
-
-    def patch(self, corners: Indices) -> tuple[Array, float]:
-        """Return ``(P, 2)`` the Coons patch between four corners of the flat outline, and its kink.
-
-        See ``coons_patch``.
-        """
-        return coons_patch(self.flat, self.turn, corners, self.step, self.grain)
-
-
-def _area(polygons: Array) -> Array:
-    """Return the areas of ``(T, P, 2)`` polygons: ``(T,)``."""
-    x, y = polygons[..., 0], polygons[..., 1]
-    return 0.5 * np.abs(np.sum(x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1), axis=1))
-
-
-@lru_cache(maxsize=16)
-def _fours(count: int) -> Indices:
-    return np.array(list(combinations(range(count), 4)), dtype=np.int64)
-
-
-@compiled("(f8[:,::1],)")
-def rim_of(outline: Array) -> tuple[Array, Array, Indices, float, float]:
-    """Return a clockwise outline ``(P, 2)`` as the rim of a sheet.
-
-    Returns:
-        ``(400, 2)`` points evenly spaced; ``(400,)`` radians by which it turns about each, positive where it is convex;
-        ``(Q,)`` the points where it turns most, in order, at most ten; the distance between two points; that between
-        two points of the outline.
-    """
+@compiled
+def rim_of(outline: Array) -> Rim:
+    """Return a clockwise outline ``(P, 2)``, no point repeated, as the rim of a sheet."""
     around = closed(outline)
     arc = arc_length(around)
     points = even_around(around, arc, 0.0, RIM)
     turn = _turns(points)
     step = arc_length(closed(points))[RIM] / RIM
-    return points, turn, _candidates(turn), step, arc[-1] / len(outline)
+    return Rim(points, turn, _candidates(turn), step, arc[-1] / len(outline))
+
+
+@compiled
+def best_corners(rim: Any) -> Indices:
+    """Return ``(4,)`` the points of a ``Rim`` most like the corners of a sheet, clockwise; ``(0,)`` without four."""
+    count, whole = len(rim.candidates), max(enclosed_by(rim.points) - RIM / 2, 1e-9)
+    best, least, four = np.empty(4, np.int64), np.inf, np.empty(4, np.int64)
+    for number in range(1 << count):
+        chosen = 0
+        for q in range(count):
+            if number >> q & 1:
+                four[chosen % 4] = rim.candidates[q]
+                chosen += 1
+        if chosen != 4:
+            continue
+        cost = twice = 0.0
+        for k in range(4):
+            p, q = four[k], four[(k + 1) % 4]
+            u, v, x, y = rim.points[p, 0], rim.points[p, 1], rim.points[q, 0], rim.points[q, 1]
+            chord = max(math.sqrt((x - u) ** 2 + (y - v) ** 2), 1e-9)
+            cost += (q - p) % RIM * rim.step / chord - min(rim.turn[p] / _RIGHT_ANGLE, 1)
+            twice += u * y - v * x
+        cost += abs(1 - abs(twice) / 2 / whole)
+        if cost < least:
+            least = cost
+            for k in range(4):
+                best[k] = four[k]
+    return best if count >= 4 else best[:0]
 
 
 @compiled
 def _turns(points: Array) -> Array:
     """Return ``(400,)`` radians by which a rim turns about each of its points."""
-    u, v = np.empty(RIM + 2 * TURN_REACH), np.empty(RIM + 2 * TURN_REACH)
-    for p in range(len(u)):
-        at = (p - TURN_REACH) % RIM
-        u[p], v[p] = points[at, 0], points[at, 1]
-    sine, cosine, turn = np.empty(RIM), np.empty(RIM), np.empty(RIM)
+    turn = np.empty(RIM)
     for p in range(RIM):
-        x, y = u[p + 2 * TURN_REACH] - u[p + TURN_REACH], v[p + 2 * TURN_REACH] - v[p + TURN_REACH]
-        back_x, back_y = u[p + TURN_REACH] - u[p], v[p + TURN_REACH] - v[p]
-        sine[p], cosine[p] = back_x * y - back_y * x, back_x * x + back_y * y
-        tangent = sine[p] / cosine[p] if cosine[p] > 0 else 0.0
-        square = tangent * tangent
-        tail = 1 / 9 - square * (1 / 11 - square * (1 / 13 - square * (1 / 15 - square / 17)))
-        turn[p] = tangent * (1 - square * (1 / 3 - square * (1 / 5 - square * (1 / 7 - square * tail))))
-    for p in range(RIM):
-        if abs(sine[p]) > _STEEP * cosine[p]:
-            turn[p] = math.atan2(sine[p], cosine[p])  # which is slow
+        here, before, after = points[p], points[p - TURN_REACH], points[(p + TURN_REACH) % RIM]
+        x, y, back_x, back_y = after[0] - here[0], after[1] - here[1], here[0] - before[0], here[1] - before[1]
+        turn[p] = math.atan2(back_x * y - back_y * x, back_x * x + back_y * y)
     return turn
 
 
@@ -170,7 +102,7 @@ def _candidates(turn: Array) -> Indices:
     return peaks[:count]
 
 
-@compiled("(f8[:,::1], i8[::1], f8, f8[:,::1])")
+@compiled
 def nearest_corners(rim: Array, candidates: Indices, step: float, expected: Array) -> Indices:
     """Return the candidate nearest to each place, or the rim's nearest point if there is none.
 
@@ -185,8 +117,8 @@ def nearest_corners(rim: Array, candidates: Indices, step: float, expected: Arra
     """
     found = np.empty(4, np.int64)
     for k in range(4):
-        found[k], least = _nearest(rim, range(RIM), expected[k])
-        corner, near = _nearest(rim, candidates, expected[k])
+        found[k], least = nearest_of(rim, range(len(rim)), expected[k])
+        corner, near = nearest_of(rim, candidates, expected[k])
         if near < max(_NEAR * step, 2 * least):
             found[k] = corner
     around = 0
@@ -199,7 +131,7 @@ def nearest_corners(rim: Array, candidates: Indices, step: float, expected: Arra
 
 
 @compiled
-def _nearest(rim: Array, among: Iterable[int], place: Array) -> tuple[int, float]:
+def nearest_of(rim: Array, among: Iterable[int], place: Array) -> tuple[int, float]:
     """Return which of some points of a rim is nearest to a place, and its distance; -1 and infinity for none."""
     least, nearest = np.inf, -1
     for p in among:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.polyline import arc_length, closed, even_around, interpolate
-from shape_obs.geometry.rotation import laid_flat, largest_trace, moved_rigidly, similarity, spread_of
+from shape_obs.geometry.rotation import largest_trace, moved_onto, spread_of
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -45,7 +45,7 @@ def hidden_pieces(
         return cut, known
     count, around = max(len(known), _LEAST_NODES), closed(points)
     at = np.arange(count, dtype=np.float64) * (len(known) / count)
-    laid = closed(laid_flat(known, similarity(known, expected, np.ones(len(known)))))
+    laid = closed(moved_onto(known, known, expected, np.ones(len(known)), True))
     laid = interpolate(laid, np.arange(len(laid), dtype=np.float64), at)
     laid = _moved_along(around, laid, model)
     places = even_around(around, arc, 0.0, count)
@@ -85,7 +85,7 @@ def may_be_hidden(nodes: Array, known: Array, model: Any) -> bool:
         model: The constants, one ``RingModel``.
     """
     count, far, reach = len(nodes), 0.0, int(model.turn_within)
-    laid = laid_flat(known, similarity(known, nodes, np.ones(count)))
+    laid = moved_onto(known, known, nodes, np.ones(count), True)
     for k in range(count):
         far = max(far, math.hypot(nodes[k, 0] - laid[k, 0], nodes[k, 1] - laid[k, 1]))
     if far < model.inside:
@@ -136,7 +136,7 @@ def _moved_along(line: Array, points: Array, model: Any) -> Array:
             for d in range(2):
                 target[k, d] = line[i, d] + (place[k] - i) * (line[i + 1, d] - line[i, d])
             weight[k] = 1 / (1 + (far[k] / limit) ** 2) ** 2
-        points = laid_flat(points, similarity(points, target, weight))
+        points = moved_onto(points, points, target, weight, True)
     return points
 
 
@@ -241,7 +241,7 @@ def complete_outline(
     for n in range(_SAMPLES):
         at[n] = (at[n] + begin) % whole
     pattern = interpolate(ring, along, at)
-    back = moved_rigidly(interpolate(ring, along, hidden), pattern, some, np.ones(_SAMPLES))
+    back = moved_onto(interpolate(ring, along, hidden), pattern, some, np.ones(_SAMPLES), False)
     out = np.empty((size + steps - 1, form.shape[1]))
     for q in range(len(out)):
         for d in range(form.shape[1]):

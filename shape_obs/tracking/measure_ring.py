@@ -13,7 +13,6 @@ from shape_obs.geometry.outline import SAMPLED, enclosed_by, pairs
 from shape_obs.geometry.polyline import arc_length, catmull_rom, closed, even_around
 from shape_obs.geometry.topology import undo_shrinkage
 from shape_obs.image.outline_tracing import trace_components, trace_hole
-from shape_obs.tracking.complete_lattice import Lens
 from shape_obs.tracking.validation import ring_miss
 
 Array = npt.NDArray[np.float64]
@@ -118,15 +117,3 @@ def fit_ring_in_cloud(
     nodes = undo_shrinkage(nodes, 1 / 24 + near / (1 + 2 * near), True)
     curve = catmull_rom(nodes, _PIECES, True)
     return curve, ring_miss(points, curve) / scale
-
-
-@compiled
-def lifted(points: Array, z: Array, camera: Lens) -> Array:
-    """Return pixels ``(P, 2)`` in the space of a pinhole, ``(P, 3)``; ``(0, 3)`` without a camera or depth."""
-    count = len(points) if camera[0] > 0 and not np.isnan(z[0]) else 0
-    out = np.empty((count, 3))
-    for p in range(count):
-        out[p, 0] = (points[p, 0] - camera[2]) / camera[0] * z[p]
-        out[p, 1] = (points[p, 1] - camera[3]) / camera[1] * z[p]
-        out[p, 2] = z[p]
-    return out

@@ -14,27 +14,26 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.coons import SIDE, side_lengths
-from shape_obs.geometry.rotation import laid_flat, similarity
-from shape_obs.tracking.model import LatticeConstants, Model  # noqa: F401 - the first in a signature
+from shape_obs.geometry.coons import RIM, SIDE, border_of, side_lengths
+from shape_obs.geometry.polyline import arc_length, closed
+from shape_obs.geometry.rotation import moved_onto
+from shape_obs.tracking.model import gain_of
+from shape_obs.tracking.validation import ELSEWHERE, LONGER, NO_FAULT, SHORTER
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 Complexes = npt.NDArray[np.complex128]
-Vector = tuple[float, float, float]
 
 _NEAREST: Final = 5  # places among which each corner is looked for
 _AROUND: Final = 1.5  # outlines: corners in order go around once, in another order twice
+_SOME: Final = 4  # every so many points of a lattice give the median distance
 _CHORD: Final = 3  # points of a border to either side, over which it is seen to turn
-FITS, SHORTER, LONGER, MOVED = 0, 1, 2, 3  # what ``compare_sheet`` returns
 
 
-@compiled("(f8[:,::1], f8[:,::1])")
+@compiled
 def match_corners(expected: Array, corners: Array) -> tuple[int, int, float]:
     """Return how a sheet's corners are numbered, and which one lies farthest from where the other three put it.
-
-    The similarity transform of complex numbers is one product: the least squares of ``found = a expected + b``.
 
     Args:
         expected: ``(4, D)`` predicted corners, clockwise.
@@ -60,59 +59,48 @@ def match_corners(expected: Array, corners: Array) -> tuple[int, int, float]:
             middle[d] += found[k, d] / 4
     worst, most, reach = 0, -1.0, 1e-18
     for k in range(4):
-        before, rise_before = _seen_by_the_others(expected, k)
-        after, rise_after = _seen_by_the_others(found, k)
-        product, spread, square = 0j, 1e-18, 0.0
-        for j in range(4):
-            if j != k:
-                product += before[j].conjugate() * after[j]
-                spread += before[j].real ** 2 + before[j].imag ** 2
-        product /= spread
-        astray = math.hypot(abs(before[k] * product - after[k]), rise_before * abs(product) - rise_after)
-        if astray > most:
-            worst, most = k, astray
+        others, off, square = np.ones(4, np.bool_), 0.0, 0.0
+        others[k] = False
+        placed = moved_onto(expected, expected, found, others, True)
         for d in range(dimension):
+            off += (placed[k, d] - found[k, d]) ** 2
             square += (found[k, d] - middle[d]) ** 2
+        if off > most:
+            worst, most = k, off
         reach = max(reach, square)
-    return quarters, worst, most / math.sqrt(reach)
+    return quarters, worst, math.sqrt(most / reach)
 
 
 @compiled
-def _seen_by_the_others(corners: Array, k: int) -> tuple[Complexes, float]:
-    """Return ``(4,)`` corners as complex numbers in the plane of all but the k-th, and how far that one lies above."""
-    away = np.zeros((4, 3))
-    for d in range(corners.shape[1]):
-        middle = (corners[k - 1, d] + corners[k - 2, d] + corners[k - 3, d]) / 3
-        for j in range(4):
-            away[j, d] = corners[j, d] - middle
-    right, normal = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
-    if corners.shape[1] == 3:
-        right = _unit(away[k - 1, 0], away[k - 1, 1], away[k - 1, 2])
-        normal = _unit(*_cross(right, (away[k - 2, 0], away[k - 2, 1], away[k - 2, 2])))
-    up = _cross(normal, right)
-    seen = np.empty(4, np.complex128)
-    for j in range(4):
-        x, y, z = away[j, 0], away[j, 1], away[j, 2]
-        seen[j] = complex(x * right[0] + y * right[1] + z * right[2], x * up[0] + y * up[1] + z * up[2])
-    return seen, away[k, 0] * normal[0] + away[k, 1] * normal[1] + away[k, 2] * normal[2]
+def visible_corners(
+    rim: Any, space: Array, cut: Mask, expected: Array, sides: Array, tolerance: Array, model: Any
+) -> Indices:
+    """Return which points of an outline are the corners of a sheet, ``(4,)``, -1 for a hidden one, or for all.
+
+    Args:
+        rim: A ``Rim``.
+        space: ``(400, D)`` its points in the unit of the sides.
+        cut: ``(400,)`` whether something lies over it there.
+        expected: As ``assign_corners`` takes it, and the next two.
+        sides: Lengths.
+        tolerance: The same.
+        model: The constants, one ``LatticeModel``.
+    """
+    arc, places, arcs = arc_length(closed(space)), np.empty((len(rim.candidates), 2)), np.empty(len(rim.candidates))
+    which, count, spread = np.empty_like(rim.candidates), 0, model.corner_spread[space.shape[1] - 2]
+    for q in rim.candidates:
+        if not cut[q]:
+            places[count, 0], places[count, 1] = rim.points[q, 0], rim.points[q, 1]
+            arcs[count], which[count], count = arc[q], q, count + 1
+    found, _ = assign_corners(expected, places[:count], arcs[:count], arc[RIM], sides, tolerance, spread, model)
+    for k in range(4):
+        found[k] = which[found[k]] if found[k] >= 0 else -1
+    return found
 
 
 @compiled
-def _unit(x: float, y: float, z: float) -> Vector:
-    """Return a vector of length 1; zeros for zeros."""
-    length = max(math.sqrt(x * x + y * y + z * z), 1e-18)
-    return x / length, y / length, z / length
-
-
-@compiled
-def _cross(a: Vector, b: Vector) -> Vector:
-    """Return the cross product."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@compiled("(f8[:,::1], f8[:,::1], f8[::1], f8, f8[::1], f8[::1], f8, LatticeConstants[::1])")
 def assign_corners(
-    expected: Array, places: Array, arcs: Array, whole: float, sides: Array, slack: Array, spread: float, model: Model
+    expected: Array, places: Array, arcs: Array, whole: float, sides: Array, slack: Array, spread: float, model: Any
 ) -> tuple[Indices, float]:
     """Return which of the places where an outline turns are the corners of a sheet; -1 for one that is hidden.
 
@@ -124,13 +112,12 @@ def assign_corners(
         sides: ``(4,)`` the sheet's known lengths, from each corner to the next.
         slack: ``(4,)`` by which a length may be off.
         spread: Standard deviation of a corner from where the others put it, half diagonals.
-        model: ``(1,)`` the constants.
+        model: The constants, one ``LatticeModel``.
 
     Returns:
         ``(4,)`` indices, at least two of them places; and the cost. All -1 if no choice is possible.
     """
-    count, constants = len(places), model[0]
-    centre, reach = complex(0, 0), 0.0
+    count, centre, reach = len(places), complex(0, 0), 0.0
     at, to = np.empty(4, np.complex128), np.empty(max(count, 1), np.complex128)
     for k in range(4):
         at[k] = complex(expected[k, 0], expected[k, 1])
@@ -141,7 +128,7 @@ def assign_corners(
         to[q] = complex(places[q, 0], places[q, 1])
     near = np.full((4, _NEAREST), -1, np.int64)
     for k in range(4):
-        far = np.full(_NEAREST, constants.corner_reach * reach)
+        far = np.full(_NEAREST, model.corner_reach * reach)
         for q in range(count):
             away, to_put = abs(to[q] - at[k]), q
             for i in range(_NEAREST):  # insert it in order
@@ -159,7 +146,7 @@ def assign_corners(
             visible += chosen[k] >= 0
         if not possible or visible < 2:
             continue
-        cost = _cost_of_corners(chosen, visible, at, to, arcs, whole, sides, slack, reach, spread, constants)
+        cost = _cost_of_corners(chosen, visible, at, to, arcs, whole, sides, slack, reach, spread, model)
         if cost < least:
             least = cost
             for k in range(4):
@@ -223,7 +210,7 @@ def compare_sheet(
             more = _turn(border, p) * _turn(known, p).conjugate()
             turned = turned or more.real <= (corner_cut if near else side_cut) * abs(more)
         if not turned:
-            return FITS, 0
+            return NO_FAULT, 0
     lengths = side_lengths(border)
     zoom, side, most = 1.0 if metric else zoom_of(lengths, sides, model.max_zoom), 0, 0.0
     for k in range(4):
@@ -234,21 +221,12 @@ def compare_sheet(
     if abs(most) > 1:
         return (SHORTER if most < 0 else LONGER), side
     if not metric:
-        laid, far = laid_flat(known, similarity(known, border, np.ones(len(known), np.bool_))), 0.0
+        laid, far = moved_onto(known, known, border, np.ones(len(known), np.bool_), True), 0.0
         for p in range(4 * SIDE):
             far = max(far, (border[p, 0] - laid[p, 0]) ** 2 + (border[p, 1] - laid[p, 1]) ** 2)
         if math.sqrt(far) > model.dent[1] + model.dent[0] * sides.mean():
-            return MOVED, 0
-    return FITS, 0
-
-
-@compiled("(f8[::1], f8, f8)")
-def known_slack(sides: Array, share: float, least: float) -> Array:
-    """Return ``(4,)`` by how much the sides of a sheet may be off: a share of their lengths, and a least length."""
-    out = np.empty(4)
-    for k in range(4):
-        out[k] = max(share * sides[k], least)
-    return out
+            return ELSEWHERE, 0
+    return NO_FAULT, 0
 
 
 @compiled
@@ -267,3 +245,90 @@ def _turn(border: Array, p: int) -> complex:
     after, before = (p + _CHORD) % (4 * SIDE), (p - _CHORD) % (4 * SIDE)
     ahead = complex(border[after, 0] - border[p, 0], border[after, 1] - border[p, 1])
     return ahead * complex(border[p, 0] - border[before, 0], border[before, 1] - border[p, 1])
+
+
+@compiled
+def learn_sheet(known: Array, patch: Array, sides: Array, lasted: float, model: Any) -> tuple[Array, Array]:
+    """Return what is known of a sheet after a frame in which all of it was seen: its lattice, and its sides ``(4,)``.
+
+    Args:
+        known: ``(625, D)`` as it was, wherever it lay: metres or pixels.
+        patch: ``(625, D)`` as it lies.
+        sides: ``(4,)`` lengths.
+        lasted: Seconds for which this frame counts.
+        model: The constants, one ``LatticeModel``.
+    """
+    metric, lengths, learnt = known.shape[1] == 3, side_lengths(border_of(patch)), np.empty(4)
+    zoom = 1.0 if metric else zoom_of(lengths, sides, model.max_zoom)
+    for k in range(4):
+        stretch = model.max_stretch[1 if metric else 0] * lasted * sides[k] * zoom
+        learnt[k] = sides[k] * zoom + min(max(lengths[k] - sides[k] * zoom, -stretch), stretch)
+    if metric:
+        return patch, learnt
+    laid = moved_onto(known, known, patch, np.ones(len(known), np.bool_), True)
+    far, most = _apart(patch, laid), model.max_stretch[1] * lasted * learnt.mean()
+    limit = max(model.outlier * np.median(far[::_SOME].copy()), model.form_noise)
+    gain = gain_of(lasted, model.form_memory)
+    for p in range(len(patch)):
+        share = gain * ((limit / far[p]) ** 4 if far[p] > limit else 1.0)
+        for d in range(2):
+            laid[p, d] += min(max(share * (patch[p, d] - laid[p, d]), -most), most)
+    return laid, learnt
+
+
+@compiled
+def rescaled(border: Array, seen: Mask, sides: Array, most: float) -> Array:
+    """Return the lengths of all sides in an image, which grow and shrink as those do that are seen from end to end.
+
+    Args:
+        border: ``(96, 2)`` as it lies.
+        seen: ``(96,)`` whether the outline shows it.
+        sides: ``(4,)`` known lengths.
+        most: By which share of it a length may change.
+    """
+    lengths, ratios, count, learnt = side_lengths(border), np.empty(4), 0, sides.copy()
+    for k in range(4):
+        whole = True
+        for i in range(SIDE + 1):
+            whole = whole and seen[(SIDE * k + i) % len(seen)]
+        if whole:
+            ratios[count] = lengths[k] / sides[k]
+            count += 1
+    for k in range(4 if count > 0 else 0):
+        learnt[k] *= min(max(np.median(ratios[:count]), 1 - most), 1 + most)
+    return learnt
+
+
+@compiled
+def doubtful_places(known: Array, patch: Array, gap: float, model: Any) -> npt.NDArray[np.bool_]:
+    """Return which points of a lattice are not where the known form has them, without depth, ``(625,)``.
+
+    Something may lie over a border there that hides too little to be noticed by the border alone.
+
+    Args:
+        known: ``(625, 2)`` pixels, as it was, wherever it lay.
+        patch: ``(625, 2)`` as it lies.
+        gap: Between two points that are asked for, pixels.
+        model: The constants, one ``LatticeModel``.
+    """
+    share, pixels = model.hidden_place[0], model.hidden_place[1]
+    near, out = np.ones(len(patch), np.bool_), np.zeros(len(patch), np.bool_)
+    for last in (False, True):
+        far = _apart(patch, moved_onto(known, known, patch, near, True))
+        if not last and far.max() <= max(share * gap, pixels):
+            break
+        own = model.outlier * np.median(far[::_SOME].copy())
+        limit = max(share * gap, pixels, own) if last else max(own, pixels)
+        for p in range(len(patch)):
+            near[p], out[p] = far[p] <= limit, far[p] > limit
+    return out
+
+
+@compiled
+def _apart(points: Array, others: Array) -> Array:
+    """Return ``(P,)`` the distances of ``(P, 2)`` points from as many others."""
+    far = np.empty(len(points))
+    for p in range(len(points)):
+        x, y = points[p, 0] - others[p, 0], points[p, 1] - others[p, 1]
+        far[p] = math.sqrt(x * x + y * y)  # several times as fast as ``hypot``
+    return far

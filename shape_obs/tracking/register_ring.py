@@ -18,7 +18,7 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.geometry.outline import unround, wave_table, waves
 from shape_obs.geometry.polyline import arc_length, closed, even_around, starting_at
-from shape_obs.geometry.rotation import largest_trace, moved_rigidly, spread_of
+from shape_obs.geometry.rotation import largest_trace, moved_onto, spread_of
 from shape_obs.tracking.model import gain_of
 
 Array = npt.NDArray[np.float64]
@@ -168,7 +168,7 @@ def blend(reference: Array, found: Array, gain: float, most: float) -> Array:
 
     No coordinate moves by more than a share of the radius.
     """
-    out = moved_rigidly(reference, reference, found, np.ones(len(found)))
+    out = moved_onto(reference, reference, found, np.ones(len(found)), False)
     most *= math.sqrt(spread_of(reference))
     for k in range(len(found)):
         for d in range(found.shape[1]):
@@ -234,7 +234,7 @@ def _without_bends(
                 moved[2 * d, h], moved[2 * d + 1, h] = a * along + b * across, b * along - a * across
                 ahead[2 * d, h], ahead[2 * d + 1, h] = turn * moved[2 * d + 1, h], -turn * moved[2 * d, h]
         places, speed = _drawn(moved, cos, sin), _drawn(ahead, cos, sin)
-        own = moved_rigidly(some, some, places, weight)
+        own = moved_onto(some, some, places, weight, False)
         for n in range(len(some)):
             square = 0.0
             for d in range(3):

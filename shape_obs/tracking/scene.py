@@ -18,7 +18,7 @@ from shape_obs.tracking.clock import Clock
 #: Name -> pixel (u, v) or base-frame point (x, y, z), metres.
 Anchors = Mapping[str, Sequence[float]] | None
 Own = tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], int, int, int]
-Around = tuple[DepthImages, tuple[int, int, int, int], tuple[float, float, float, float]]
+Around = tuple[DepthImages, tuple[int, int, int, int], npt.NDArray[np.float64]]
 
 
 class Scene(NamedTuple):
@@ -67,11 +67,7 @@ class Scene(NamedTuple):
         """Return what compiled stages take of a mask, and of the rest of the frame.
 
         Returns:
-            Mask, runs, pieces, left, top; depth, the window of what is searched, the pinhole: zeros without a camera or
-            for one that is none.
+            Mask, runs, pieces, left, top; depth, left, top, width and height of what is searched, the projection.
         """
-        (left, top, *_), camera, lens = region.window, self.intrinsics, (0.0, 0.0, 0.0, 0.0)
-        if camera is not None and camera.model == "pinhole":
-            lens = camera.fx, camera.fy, camera.cx, camera.cy
-        x, y, wide, high = self.edge or region.window
-        return (region.mask, region.runs, region.pieces, left, top), (self.images, (x, y, wide, high), lens)
+        (left, top, *_), (x, y, wide, high) = region.window, self.edge or region.window
+        return (region.mask, region.runs, region.pieces, left, top), (self.images, (x, y, wide, high), self.lens)

@@ -12,12 +12,36 @@ from shape_obs.clustering.som import best_matching_units
 from shape_obs.compiled import compiled
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.topology import Grid
-from shape_obs.tracking.model import LatticeModel, RingModel
+from shape_obs.tracking.model import LatticeConstants, LatticeModel, Model, RingModel  # noqa: F401 - in a signature
 
 Array = npt.NDArray[np.float64]
 
 _JUDGED: Final = 150  # samples are enough to measure how far a mask spreads about a curve
 _JUDGED_AROUND: Final = 256  # samples are enough to measure by how much an outline is missed
+#: What is wrong with a sheet: a number, then one of a side or a corner, what was measured, and its limit.
+Fault = tuple[int, int, float, float]
+NO_FAULT, SHORTER, LONGER, ELSEWHERE, NO_CORNERS, TOO_FEW_CORNERS, OUT_OF_SIGHT, TOO_LITTLE, NOTHING_OVER = range(9)
+CORNER_MOVED: Final = 9  # the first of those of ``judge_sheet``
+_SHEET_FAULTS: Final = (
+    "",
+    "side {number} is shorter than it was: something hides a part of the sheet",
+    "side {number} is longer than it was: something hides a part of the sheet",
+    "a side is not where it was: something hides a part of the sheet",
+    "the outline's corners are not where the lattice's are",
+    "the outline has {number} corners, a sheet has four",
+    "the sheet runs out of the camera's sight",
+    "too little of the sheet's border is seen to know where the rest is",
+    "the sheet is smaller than it was, and nothing lies over the rest",
+    "corner {number} strays by {value:.0%} of half a diagonal from where the other three have moved",
+    "{value:.0%} of the lattice lies off the {noun} (at most {most:.0%})",
+    "a corner of the lattice is {value:.0f} degrees off a right angle (at most {most:.0f})",
+    "the lattice folds at {value:.0%} of its cells",
+    "the outline turns by {value:.0f} degrees between two corners (at most {most:.0f}): the {noun} is no sheet, or a "
+    "part of it is hidden",
+    "a side is {value:.0%} longer than the way from corner to corner (at most {most:.0%}): the {noun} is no sheet with "
+    "four corners",
+    "the areas of the lattice's cells vary by {value:.0%} (at most {most:.0%})",
+)
 FOLDED: Final = "the gaps between the points differ in space: the sheet is folded or crumpled"
 
 
@@ -77,59 +101,42 @@ def validate_outline(observed: Observed, miss: float, model: RingModel) -> FitQu
     return FitQuality("", ((1 - excess) * piece) ** 0.5)
 
 
-def validate_sheet(
-    off: float,
-    measures: tuple[float, float, float, float],
-    noun: str,
-    kink: float,
-    stray: tuple[int, float],
-    freedom: float,
-    model: LatticeModel,
-) -> FitQuality:
-    """Validate a lattice over a sheet.
+@compiled("(f8, UniTuple(f8, 4), f8, i8, f8, f8, LatticeConstants[::1])")
+def judge_sheet(
+    off: float, measures: tuple[float, float, float, float], kink: float, number: int, moved: float, freedom: float,
+    model: Model,
+) -> tuple[Fault, float]:  # fmt: skip
+    """Return what is wrong with a lattice over a sheet, and its quality, 0...1.
 
-    Refused are a lattice that leaves the object over 10 %, a corner more than 55 degrees off a right angle, a lattice
-    that folds, a side that turns by 60 degrees somewhere (a fifth corner, or a hand's) or is 20 % longer than its
-    chord, and cells whose areas vary by 40 %.
+    Refused are a corner that moves alone, a lattice that leaves the object, a corner far off a right angle, a lattice
+    that folds, a side that turns sharply (at a fifth corner, or a hand's) or is much longer than its chord, and cells
+    whose areas vary.
 
     Args:
         off: The share of the lattice that lies off the object.
         measures: See ``assess_lattice``.
-        noun: What it was fitted to: ``"mask"`` or ``"cloud"``.
         kink: Degrees by which the outline turns at most, away from the corners.
-        stray: The corner that lies farthest from where the other three have moved, and how far, in half diagonals.
+        number: The corner that lies farthest from where the other three have moved.
+        moved: How far, in half diagonals.
         freedom: How far it may lie.
-        model: The constants.
+        model: ``(1,)`` the constants.
     """
-    (corner, folds, winding, uneven), (wrinkled, sharpest) = measures, model.kink
-    reason = ""
-    if stray[1] > freedom:
-        reason = f"corner {stray[0]} strays by {stray[1]:.0%} of half a diagonal from where the other three have moved"
-    elif off > model.max_off:
-        reason = f"{off:.0%} of the lattice lies off the {noun} (at most {model.max_off:.0%})"
-    elif abs(corner - 90) > model.max_skew:
-        reason = f"a corner of the lattice has {corner:.0f} degrees (90 and {model.max_skew:.0f} more or less)"
-    elif folds > model.max_folds:
-        reason = f"the lattice folds at {folds:.0%} of its cells"
-    elif kink > sharpest:
-        reason = (
-            f"the outline turns by {kink:.0f} degrees between two corners (at most {sharpest:.0f}): the "
-            f"{noun} is no sheet, or a part of it is hidden"
-        )
-    elif winding > model.max_winding:
-        reason = (
-            f"a side is {winding:.0%} longer than the way from corner to corner (at most {model.max_winding:.0%}): the "
-            f"{noun} is no sheet with four corners"
-        )
-    elif uneven > model.max_uneven:
-        reason = f"the areas of the lattice's cells vary by {uneven:.0%} (at most {model.max_uneven:.0%})"
-    if reason:
-        return FitQuality(reason, 0.0)
+    most, (corner, folds, winding, uneven) = model[0], measures
+    wrinkled, sharpest = most.kink[0], most.kink[1]
+    values = moved, off, abs(corner - 90), folds, kink, winding, uneven
+    limits = freedom, most.max_off, most.max_skew, most.max_folds, sharpest, most.max_winding, most.max_uneven
+    for k in range(len(values)):
+        if values[k] > limits[k]:
+            return (CORNER_MOVED + k, number, values[k], limits[k]), 0.0
     bent = max(kink - wrinkled, 0.0) / (sharpest - wrinkled)
-    shares = (
-        (1 - off / model.max_off) * (1 - bent) * (1 - winding / model.max_winding) * (1 - uneven / model.max_uneven)
-    )
-    return FitQuality("", shares**0.5)
+    shares = (1 - off / most.max_off) * (1 - bent) * (1 - winding / most.max_winding) * (1 - uneven / most.max_uneven)
+    return (NO_FAULT, 0, 0.0, 0.0), math.sqrt(shares)
+
+
+def sheet_fault(fault: Fault, noun: str) -> str:
+    """Return what is wrong with a sheet in words; ``noun`` is what it was fitted to, ``"mask"`` or ``"cloud"``."""
+    code, number, value, most = fault
+    return _SHEET_FAULTS[code].format(number=number, value=value, most=most, noun=noun)
 
 
 @compiled("(f8[:,::1], f8[::1], f8[:,::1])")

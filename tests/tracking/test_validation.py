@@ -17,7 +17,7 @@ from shape_obs.tracking.model import ChainModel, LatticeModel, RingModel
 from shape_obs.tracking.occluders import UNKNOWN_TIPS
 from shape_obs.tracking.state import new_rope
 from shape_obs.tracking.step import step_measured_chain
-from shape_obs.tracking.validation import FitQuality, sample_spread, validate_outline, validate_sheet
+from shape_obs.tracking.validation import FitQuality, judge_sheet, sample_spread, sheet_fault, validate_outline
 
 SIZE = (120, 400)
 
@@ -54,9 +54,9 @@ def judged_ribbon(curve: FittedCurve, observed: Region, expected_off: float) -> 
 
 
 def judged_sheet(form: FittedLattice, kink: float) -> FitQuality:
-    return validate_sheet(
-        float(form.interpolated.mean()), assess_lattice(form.lattice), "mask", kink, (0, 0.0), 0.06, LatticeModel()
-    )
+    off, model = float(form.interpolated.mean()), LatticeModel().record
+    fault, quality = judge_sheet(off, assess_lattice(form.lattice), kink, 0, 0.0, 0.06, model)
+    return FitQuality(sheet_fault(fault, "mask"), quality)
 
 
 class TestOffTheMask:
@@ -158,7 +158,7 @@ class TestSheet:
         ("corners", "bow", "kink", "reason"),
         [
             (((60, 40), (240, 40), (240, 200), (60, 200)), 0, 0, "of the lattice lies off the mask (at most 10%)"),
-            (((80, 40), (110, 190), (110, 200), (80, 50)), 0, 0, "a corner of the lattice has 1"),
+            (((80, 40), (110, 190), (110, 200), (80, 50)), 0, 0, "a corner of the lattice is 79 degrees off"),
             (((80, 40), (240, 40), (240, 200), (80, 200)), 0, 61, "the outline turns by 61 degrees between two"),
             (((80, 40), (240, 40), (240, 200), (80, 200)), 55, 0, "a side is 2"),
             (((90, 50), (230, 50), (165, 190), (155, 190)), 0, 0, "the areas of the lattice's cells vary by"),

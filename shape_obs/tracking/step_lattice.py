@@ -1,0 +1,207 @@
+"""Step: one frame of a sheet in one compiled call, from its mask to its nodes.
+
+Its outline is measured, in space with depth, and the corners are matched to those predicted. What is seen of the sheet
+is compared with what is known of it; where something hides its border, that is put back.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.camera import deprojected, projected
+from shape_obs.compiled import compiled
+from shape_obs.frame import DEPTH_TYPE, DepthImages
+from shape_obs.geometry.coons import FINE, RIM, blend_sides, border_of, coons_patch, side_lengths, sides_of
+from shape_obs.geometry.lattice import assess_lattice, lattice_gauges
+from shape_obs.geometry.outline import SAMPLED, material_outline
+from shape_obs.geometry.polyline import arc_length, closed
+from shape_obs.geometry.rotation import flattened
+from shape_obs.image.connected_runs import near_mask
+from shape_obs.image.outline_tracing import trace_largest
+from shape_obs.image.over_under import depth_at
+from shape_obs.initialization.corners import rim_of
+from shape_obs.tracking.complete_lattice import Edges, complete_border, hide_folded, rim_depth
+from shape_obs.tracking.measure_lattice import UNBENT, corners_of, numbered_corners, turns_within
+from shape_obs.tracking.measure_ring import MIN_SAMPLES
+from shape_obs.tracking.model import LatticeConstants, Model  # noqa: F401 - the first in a signature
+from shape_obs.tracking.register_lattice import compare_sheet, doubtful_places, learn_sheet, rescaled, visible_corners
+from shape_obs.tracking.validation import (
+    NO_CORNERS,
+    NO_FAULT,
+    NOTHING_OVER,
+    OUT_OF_SIGHT,
+    TOO_FEW_CORNERS,
+    TOO_LITTLE,
+    Fault,
+    judge_sheet,
+)
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.uint8]
+Flags = npt.NDArray[np.bool_]
+
+_NEAREST, _COMPLETED, _BEST, _BUCKLED = range(4)  # the placements that are tried, in this order
+
+
+class SheetStep(NamedTuple):
+    """A sheet in a frame.
+
+    Args:
+        fault: What is wrong with it, see ``sheet_fault``.
+        quality: 0...1.
+        nodes: ``(625, 2)`` pixels.
+        hidden: ``(625,)``.
+        reference: ``(625, D)`` the sheet as it is known now, in metres with depth.
+        sides: ``(4,)`` the lengths of its sides, in the same unit.
+        down: ``(25,)`` see ``lattice_gauges``.
+        right: ``(25,)`` the same.
+        width: Of the mask's largest piece, pixels.
+    """
+
+    fault: Fault
+    quality: float
+    nodes: Array
+    hidden: Flags
+    reference: Array
+    sides: Array
+    down: Array
+    right: Array
+    width: float
+
+
+@compiled(
+    "(u1[:,::1], i8[:,::1], i8, i8, i8, " + DEPTH_TYPE + ", UniTuple(i8, 4), f8[::1], f8[:,::1], f8[:,::1], f8[::1], "
+    "f8, UniTuple(i8, 2), f8, LatticeConstants[::1])"
+)
+def step_sheet(
+    mask: Mask, runs: Indices, pieces: int, left: int, top: int, depth: DepthImages, edge: Edges, lens: Array,
+    nodes: Array, reference: Array, sides: Array, lasted: float, size: tuple[int, int], freedom: float, model: Model,
+) -> SheetStep:  # fmt: skip
+    """Follow a sheet into a mask, or find it there.
+
+    Args:
+        mask: As ``trace_components`` takes it, and the next four.
+        runs: Of the mask.
+        pieces: How many components there are.
+        left: Image column.
+        top: Image row.
+        depth: As ``rim_depth`` takes it, and the next.
+        edge: Of what is searched.
+        lens: The projection, see ``Intrinsics.lens``; ``(0,)`` without one.
+        nodes: ``(625, 2)`` pixels, where the sheet is predicted; ``(0, 2)`` without a track.
+        reference: ``(625, D)`` as it was, wherever it lay, in metres if it was seen in space; ``(0, 2)`` if unknown.
+        sides: ``(4,)`` the lengths of its sides in the same unit.
+        lasted: Seconds for which this frame counts.
+        size: Rows and columns of points that are asked for.
+        freedom: How far a corner may move that the others do not, see ``validate_sheet``.
+        model: ``(1,)`` the constants.
+    """
+    constants, nothing, blank = model[0], np.zeros(0), np.empty((0, 2))
+    traced, width = trace_largest(mask, runs, pieces, left, top)
+    fault, quality, pixels, hidden, learnt, lengths = (NO_CORNERS, 0, 0.0, 0.0), 0.0, blank, nothing > 0, blank, sides
+    if len(traced) <= SAMPLED * (MIN_SAMPLES - 1):
+        return SheetStep(fault, quality, pixels, hidden, learnt, lengths, nothing, nothing, width)
+    rim = rim_of(material_outline(traced, False)[1])
+    limits = (
+        constants.nearer, constants.at_edge, constants.depth_reach, constants.min_reach, constants.max_reach,
+        constants.min_depth, constants.edge_reach,
+    )  # fmt: skip
+    z, cut = rim_depth(depth, edge, mask, left, top, rim.points, width, limits)
+    space, covered = deprojected(rim.points, z, lens), np.count_nonzero(cut) / RIM
+    cold, clear, deep = len(nodes) == 0, covered == 0, len(space) > 0
+    space = space if deep else rim.points
+    known, before, tolerance = reference, sides, np.empty(4)
+    if not cold and (len(reference) == 0 or reference.shape[1] > space.shape[1]):
+        known, before = nodes, side_lengths(border_of(nodes))
+    metric = not cold and known.shape[1] == 3
+    scale = arc_length(closed(space))[RIM] / (RIM * rim.step) if metric else 1.0
+    for k in range(4):
+        share = constants.length_tolerance[1 if metric else 0]
+        tolerance[k] = max(share * before[k], constants.border_noise * scale)
+    for way in range(4):
+        if cold:
+            possible = way == _BEST
+        elif way == _BUCKLED:
+            possible = deep and covered < constants.barely_cut
+        else:
+            possible = clear or way == _COMPLETED
+        if not possible:
+            continue
+        code, number, moved, kink, kinks = NO_FAULT, 0, 0.0, 0.0, np.zeros(RIM)
+        there = space if metric or way != _COMPLETED else rim.points
+        patch, border, seen, folded = there[:0], there[:0], cut[:0], np.empty((0, 2), np.int64)
+        if way == _COMPLETED:
+            if metric:
+                inner = constants.inner * width
+                kinks = turns_within(rim.points, space, depth, mask, left, top, width, lens, limits, inner)
+            corners = visible_corners(rim, there, cut, corners_of(nodes), before, tolerance, constants)
+            border, seen, folded = complete_border(
+                border_of(nodes), border_of(known), rim.points, there, corners, cut, kinks, before, tolerance, constants
+            )
+            if len(border) > 0:
+                patch = blend_sides(sides_of(border))
+        else:
+            corners, number, moved = numbered_corners(rim, nodes, way == _BEST)
+            if len(corners) > 0:
+                patch, kink = coons_patch(rim, there, corners)
+        places = projected(patch, lens) if patch.shape[1] == 3 else patch
+        if len(places) == 0:
+            code, number = TOO_FEW_CORNERS if cold else NO_CORNERS, len(rim.candidates)
+            code = OUT_OF_SIGHT if len(patch) > 0 else TOO_LITTLE if way == _COMPLETED else code
+            if cold or way == _NEAREST or not clear:
+                fault = code, number, 0.0, 0.0
+            continue
+        off, inside = 0, near_mask(mask, left, top, places, 1)
+        unseen, now, sides_now = np.zeros(len(places), np.bool_), patch, before
+        if not cold and not metric:
+            unseen = doubtful_places(known, places, min(before[0] / size[1], before[1] / size[0]), constants)
+        for p in range(len(places)):
+            off += not inside[p]
+            unseen[p] = unseen[p] or not inside[p]
+        if way == _COMPLETED:
+            verdict, value = (NO_FAULT, 0, 0.0, 0.0), math.sqrt(np.count_nonzero(seen) / len(seen))
+            if len(folded) > 0:
+                hide_folded(folded, before, unseen)
+            elif metric and covered < constants.barely_cut:
+                through = 0
+                for p in range(len(patch)):
+                    behind = depth_at(depth, places[p, 0], places[p, 1]) if not inside[p] else 0.0
+                    through += behind > patch[p, 2] + constants.behind
+                if through > constants.max_seen_through * len(patch):
+                    code = NOTHING_OVER
+            if not metric:
+                now, sides_now = known, rescaled(border, seen, before, constants.max_stretch[1] * lasted)
+        else:
+            measures = UNBENT
+            if not metric:
+                flat = flattened(patch) if patch.shape[1] == 3 else patch
+                measures = assess_lattice(flat.reshape(FINE, FINE, 2))
+            elif way != _BUCKLED:  # the lengths of the sides say more
+                number, moved = 0, 0.0
+            verdict, value = judge_sheet(off / len(places), measures, kink, number, moved, freedom, model)
+            if not cold:
+                outer = border_of(patch if metric else places)
+                code, number = compare_sheet(
+                    outer, border_of(known), before, tolerance, metric, way == _BUCKLED, constants
+                )
+            if cold or known.shape[1] < patch.shape[1]:
+                sides_now = side_lengths(border_of(patch))
+            elif not (metric and way == _BUCKLED):
+                now, sides_now = learn_sheet(known, patch, before, lasted, constants)
+        if code != NO_FAULT:
+            verdict = code, number, 0.0, 0.0
+        if verdict[0] == NO_FAULT or cold or way == _NEAREST or not clear:
+            fault, quality, pixels, hidden, learnt, lengths = verdict, value, places, unseen, now, sides_now
+        if verdict[0] == NO_FAULT:
+            break
+    if len(reference) > 0 and reference.shape[1] > learnt.shape[1]:  # this frame has lost its depth
+        learnt, lengths = reference, sides
+    down = right = nothing
+    if fault[0] == NO_FAULT:
+        down, right = lattice_gauges(pixels.reshape(FINE, FINE, 2))
+    return SheetStep(fault, quality, pixels, hidden, learnt, lengths, down, right, width)
