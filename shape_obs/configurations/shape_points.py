@@ -11,7 +11,7 @@ import numpy.typing as npt
 from shape_obs.camera import Intrinsics, stereo_noise, viewing_rays
 from shape_obs.configurations.base import Configuration, Points
 from shape_obs.configurations.points_in_image import Seen, seen_points
-from shape_obs.geometry.curve import FittedCurve, local_stretch, with_log_depth
+from shape_obs.geometry.curve import FittedCurve, local_stretch
 from shape_obs.geometry.lattice import FittedLattice
 from shape_obs.geometry.topology import Grid
 from shape_obs.point_cloud.lifting import form_depth, lift_form
@@ -113,7 +113,7 @@ def _points_in_image(spec: Configuration, found: Fit, scene: Scene) -> Seen:
     if isinstance(form, FittedCurve) and at is None and (len(form.log_depth) or under is not None):
         at = _nearest(points, form.points)
         if len(form.log_depth):  # the points are a clusterer's
-            stretched = local_stretch(form.arc, with_log_depth(form.points, form.log_depth), width / 2)
+            stretched = local_stretch(form.arc, np.column_stack([form.points, form.log_depth]), width / 2)
             log_depth, steep = form.log_depth[at], stretched[at]
     # Next to what hides a piece, depth that is not the form's is not the points' either.
     foreign = np.zeros(0, bool) if under is None else np.isnan(under)[at]
