@@ -24,12 +24,9 @@ from shape_obs.geometry.polyline import arc_length, closed, even_around, interpo
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-_RIGHT_ANGLE: Final = np.pi / 2
-_CANDIDATES: Final = 10
-_LEAST_TURN: Final = 0.35  # radians; the corners of a sheet turn more, wherever it bends
-# How far from where a corner is expected it is looked for, in points: half of the least side of a sheet of 1:4.
-_NEAR: Final = 20
-_STEEP: Final = 0.3  # the angle of a smaller tangent is a series of a few terms, to 1e-9
+_CANDIDATES: Final = 10  # strongest turns of an outline, among which four corners are chosen in 210 ways
+_LEAST_TURN: Final = 0.35  # rad, 20 degrees: the corners of a sheet turn more, wherever it bends
+_NEAR: Final = RIM // 20  # points, half a short side of a sheet of 1:4: how far from its expected place a corner may be
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +70,7 @@ class Rim:
         sides = places[:, [1, 2, 3, 0]] - places
         chord = np.maximum(np.linalg.norm(sides, axis=-1), 1e-9)
         winding = ((following - chosen) % RIM * self.step / chord - 1).sum(axis=1)
-        blunt = (1 - np.minimum(self.turn[chosen] / _RIGHT_ANGLE, 1)).sum(axis=1)
+        blunt = (1 - np.minimum(self.turn[chosen] / (np.pi / 2), 1)).sum(axis=1)
         left_out = np.abs(1 - _area(places) / max(float(_area(self.flat[None])[0]), 1e-9))
         return chosen[np.argmin(winding + blunt + left_out)]
 
@@ -128,22 +125,12 @@ def rim_of(outline: Array) -> tuple[Array, Array, Indices, float, float]:
 @compiled
 def _turns(points: Array) -> Array:
     """Return ``(400,)`` radians by which a rim turns about each of its points."""
-    u, v = np.empty(RIM + 2 * TURN_REACH), np.empty(RIM + 2 * TURN_REACH)
-    for p in range(len(u)):
-        at = (p - TURN_REACH) % RIM
-        u[p], v[p] = points[at, 0], points[at, 1]
-    sine, cosine, turn = np.empty(RIM), np.empty(RIM), np.empty(RIM)
+    turn = np.empty(RIM)
     for p in range(RIM):
-        x, y = u[p + 2 * TURN_REACH] - u[p + TURN_REACH], v[p + 2 * TURN_REACH] - v[p + TURN_REACH]
-        back_x, back_y = u[p + TURN_REACH] - u[p], v[p + TURN_REACH] - v[p]
-        sine[p], cosine[p] = back_x * y - back_y * x, back_x * x + back_y * y
-        tangent = sine[p] / cosine[p] if cosine[p] > 0 else 0.0
-        square = tangent * tangent
-        tail = 1 / 9 - square * (1 / 11 - square * (1 / 13 - square * (1 / 15 - square / 17)))
-        turn[p] = tangent * (1 - square * (1 / 3 - square * (1 / 5 - square * (1 / 7 - square * tail))))
-    for p in range(RIM):
-        if abs(sine[p]) > _STEEP * cosine[p]:
-            turn[p] = math.atan2(sine[p], cosine[p])  # which is slow
+        before, after = (p - TURN_REACH) % RIM, (p + TURN_REACH) % RIM
+        back_x, back_y = points[p, 0] - points[before, 0], points[p, 1] - points[before, 1]
+        x, y = points[after, 0] - points[p, 0], points[after, 1] - points[p, 1]
+        turn[p] = math.atan2(back_x * y - back_y * x, back_x * x + back_y * y)
     return turn
 
 
