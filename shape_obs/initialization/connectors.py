@@ -11,33 +11,26 @@ import numpy.typing as npt
 
 from shape_obs.image.find_region import find_region
 from shape_obs.image.region import Region
+from shape_obs.initialization.objects import SHORTEST_ROPE
 
 Array = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.uint8]
 
-# A part is a connector where its inscribed circle has at least this many times the radius of the rope that enters it.
-# Two strands side by side have 2, with ragged borders some 2.2.
-_WIDER: Final = 2.3
-# A connector reaches as far along the rope as circles fit into the mask with so many times the rope's radius.
-_ENDS: Final = 1.45
-_CORE: Final = 1.7  # the radius of a connector over that of the circles by which it is first separated from the rope
-# A shorter arm of a connector is no rope: in widths of the arm, and in radii of the connector. A connector has at most
-# so many times the pixels of its rope.
-_LENGTH: Final = 4.0
-_REACH: Final = 2.0
-_HEAVIER: Final = 4.0
-_ALONG: Final = 2.0  # radii of the connector, from its border: how far along the rope its width is measured
-_THIN: Final = 20  # percentile of the radii along all axes: thinner ropes have no connectors that are looked for
-_LEAST: Final = 1.5  # pixels: thinner axes are noise
-_NEXT: Final = 2.0  # pixels: the distance of a neighbour, at most
-_MOST: Final = 16  # wide places that are looked at
+_WIDER: Final = 2.3  # rope radii that a connector has at least: two strands side by side have 2, ragged ones 2.2
+_ENDS: Final = 1.45  # rope radii: where no larger circle fits in, a connector ends; crossing strands have 1.4
+_CORE: Final = _WIDER / _ENDS  # of a connector's radius over that of the circles that first separate it from its rope
+_LONG: Final = 2.0  # connector radii: a shorter arm is no rope, and so far along a rope its width is measured
+_HEAVIER: Final = 4.0  # times its rope's pixels: a larger part is an object with a tail, and no connector
+_THIN: Final = 20  # percentile of the radii along all axes: connectors of thinner ropes are not looked for
+_LEAST: Final = 1.5  # pixels of radius: thinner axes are noise
+_MOST: Final = 16  # wide places that are looked at, which bounds the time
 
 
 def without_connectors(region: Region) -> tuple[Region, bool]:
     """Cut the connectors from a mask of ropes.
 
     A connector is a part that a single rope enters and that is at least 2.3 times as wide as the rope next to it. What
-    several ropes enter is none, nor is a wide object without a rope, or with a short one: the rope must be four widths
+    several ropes enter is none, nor is a wide object without a rope, or with a short one: the rope must be three widths
     long, reach as far as the connector is wide and have a quarter of its pixels.
 
     Args:
@@ -120,15 +113,15 @@ def _arms(mask: Mask, part: Mask, radius: Array, axis: npt.NDArray[np.bool_], mi
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask & ~part, connectivity=8)
     widest = float(radius[middle[1], middle[0]])
     away = np.asarray(cv2.distanceTransform(1 - part, cv2.DIST_L2, 5))
-    touching = np.unique(labels[away < _NEXT])
-    rows, columns = np.nonzero(axis & (away < _ALONG * widest))
+    touching = np.unique(labels[away < 2])  # next to it
+    rows, columns = np.nonzero(axis & (away < _LONG * widest))
     whole, thinnest, long, rest = part.copy(), math.inf, 0, 0
     for label in touching[touching > 0].tolist():
         own = labels[rows, columns] == label
         r = float(np.median(radius[rows[own], columns[own]])) if own.any() else _LEAST
         area = int(stats[label, cv2.CC_STAT_AREA])
         extent = float(away[labels == label].max())
-        if extent >= max(_LENGTH * 2 * r, _REACH * widest):
+        if extent >= max(SHORTEST_ROPE * 2 * r, _LONG * widest):
             long, thinnest, rest = long + 1, min(thinnest, r), rest + area
         else:
             whole[labels == label] = 1

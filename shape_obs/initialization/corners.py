@@ -22,11 +22,9 @@ from shape_obs.geometry.polyline import arc_length, closed, even_around
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-_RIGHT_ANGLE: Final = np.pi / 2
-_CANDIDATES: Final = 10
-_LEAST_TURN: Final = 0.35  # radians; the corners of a sheet turn more, wherever it bends
-# How far from where a corner is expected it is looked for, in points: half of the least side of a sheet of 1:4.
-_NEAR: Final = 20
+_CANDIDATES: Final = 10  # strongest turns of an outline, among which four corners are chosen in 210 ways
+_LEAST_TURN: Final = 0.35  # rad, 20 degrees: the corners of a sheet turn more, wherever it bends
+_NEAR: Final = RIM // 20  # points, half a short side of a sheet of 1:4: how far from its expected place a corner may be
 
 
 @compiled
@@ -58,7 +56,7 @@ def best_corners(rim: Any) -> Indices:
             p, q = four[k], four[(k + 1) % 4]
             u, v, x, y = rim.points[p, 0], rim.points[p, 1], rim.points[q, 0], rim.points[q, 1]
             chord = max(math.sqrt((x - u) ** 2 + (y - v) ** 2), 1e-9)
-            cost += (q - p) % RIM * rim.step / chord - min(rim.turn[p] / _RIGHT_ANGLE, 1)
+            cost += (q - p) % RIM * rim.step / chord - min(rim.turn[p] / (np.pi / 2), 1)
             twice += u * y - v * x
         cost += abs(1 - abs(twice) / 2 / whole)
         if cost < least:

@@ -7,67 +7,38 @@ may close upon itself while another one passes through the same zone.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.initialization.gaps import Lead, bending, lead
+from shape_obs.initialization.gaps import MOST_ORDERED, Lead, bending, lead
 from shape_obs.initialization.junctions import Arm, Overlap, Zones, find_zones, follow, is_bent, merge_nodes
-from shape_obs.initialization.likeness import Look, are_unlike, looks_of_arms
+from shape_obs.initialization.likeness import Look, Picture, are_unlike, looks_of_arms
 from shape_obs.initialization.skeleton import Branch, Skeleton, middle_value
-from shape_obs.initialization.strand_curves import clear_part, smooth_branch, strand_curve
+from shape_obs.initialization.strand_curves import Strand, clear_part, smooth_branch, strand_curve
 from shape_obs.initialization.strand_doubts import margin_of, strand_doubts, zone_doubts
 
 Array = npt.NDArray[np.float64]
 Pairing = tuple[tuple[Arm, Arm], ...]
 Options = dict[int, list[tuple[float, Pairing]]]  # of each zone: what a pairing bends, and the pairing; least first
 
-_REACH: Final = 1.2  # widths of a branch over which its direction is taken
-# More branches than these in one zone are paired one by one: there are (n-1)!! pairings.
-_MOST_TRIED: Final = 8
-_DENIED: Final = 5.0  # rad^2 that a pair of strands costs more that the silhouette denies
-_PARTED: Final = 15.0  # rad^2 that it costs that two strands end because they are unlike: more than what is denied
+_CHORD: Final = 1.2  # widths of a branch over which its direction is taken: less than of an end, as branches are short
+_DENIED: Final = 5.0  # rad^2 that it costs to join two strands that the silhouette denies: as two U-turns bend
+_PARTED: Final = 15.0  # rad^2 that it costs that two strands end because they are unlike: more than all that is denied
 
 
-class Evidence(NamedTuple):
-    """By what several ropes differ where they meet, apart from how they run: their widths and their colours.
-
-    Args:
-        picture: ``(H, W, 3)`` RGB; None without one.
-    """
-
-    picture: npt.NDArray[np.uint8] | None = None
-
-
-class Strands(NamedTuple):
-    """A skeleton resolved.
-
-    Args:
-        curves: ``(P_i, 2)`` pixels each, at steps of about a pixel. Every branch is part of one of them, but the shared
-            ones of two.
-        widths: Of each, pixels.
-        inside: Whether the first and the last end of each lie on another strand, instead of freely.
-        closed: Whether each is a ring; it is cut open somewhere.
-        doubts: Why each may be wrong, in words.
-    """
-
-    curves: tuple[Array, ...]
-    widths: tuple[float, ...]
-    inside: tuple[tuple[bool, bool], ...]
-    closed: tuple[bool, ...]
-    doubts: tuple[tuple[str, ...], ...]
-
-
-def untangle(skeleton: Skeleton, evidence: Evidence | None = None) -> Strands:
+def untangle(skeleton: Skeleton, picture: Picture | None = None, *, several: bool = False) -> list[Strand]:
     """String the branches of a skeleton together.
 
     Args:
         skeleton: Of one or several pieces of rope.
-        evidence: By what ropes differ; None if all strands are of one rope.
+        picture: ``(H, W, 3)`` RGB, in which ropes may have colours of their own; None without one.
+        several: Whether the strands are of several ropes, which may differ in width and colour and end on each other.
 
     Returns:
-        As few strands as the free ends allow, bent as little as possible.
+        As few strands as the free ends allow, bent as little as possible, at steps of about a pixel. Every branch is
+        part of one of them, but the shared ones of two.
     """
     skeleton, width = merge_nodes(skeleton), skeleton.width
     branches = [smooth_branch(branch, width) for branch in skeleton.branches]
@@ -78,12 +49,12 @@ def untangle(skeleton: Skeleton, evidence: Evidence | None = None) -> Strands:
             groups.setdefault(zones.of[i, end], []).append((i, end))
     free = {group[0] for group in groups.values() if len(group) == 1}
     trimmed = {i: clear_part(branches[i], (i, 0) in free, (i, 1) in free, width) for i in zones.kept}
-    leads = {(i, end): lead(trimmed[i][:: 1 - 2 * end], _REACH * width) for i in zones.kept for end in (0, 1)}
+    leads = {(i, end): lead(trimmed[i][:: 1 - 2 * end], width, _CHORD) for i in zones.kept for end in (0, 1)}
     overlaps = _overlaps(branches, zones, groups, leads, width)
-    if evidence is not None:
+    if several:
         overlaps = {zone: each for zone, each in overlaps.items() if not is_bent(each, leads)}
-    met = [arm for group in groups.values() if len(group) > 1 for arm in group] if evidence is not None else []
-    looks = looks_of_arms(branches, met, free, None if evidence is None else evidence.picture)
+    met = [arm for group in groups.values() if several and len(group) > 1 for arm in group]
+    looks = looks_of_arms(branches, met, free, picture)
     options = {
         zone: _options(group, leads, overlaps.get(zone), looks) for zone, group in groups.items() if len(group) > 1
     }
@@ -94,25 +65,25 @@ def untangle(skeleton: Skeleton, evidence: Evidence | None = None) -> Strands:
     ways = {pair: path for overlap in overlaps.values() for pair, path in _ways(overlap)}
     doubt_at, everywhere = dict(zone_doubts(options, chosen, overlaps)), (zones.doubt,) if zones.doubt else ()
     passed = [{zones.of[i, end] for i, _ in route for end in (0, 1)} for route in routes]
-    curves = tuple(strand_curve(route, trimmed, partner, ways, width) for route in routes)
+    curves = [strand_curve(route, trimmed, partner, ways, width) for route in routes]
     ends = [(route[0], (route[-1][0], 1 - route[-1][1])) for route in routes]
-    inside = tuple((first not in free, last not in free) for first, last in ends)
+    inside = [(first not in free, last not in free) for first, last in ends]
     own: list[list[str]] = [[] for _ in routes]
-    if evidence is not None:
+    if several:
         margin = {zone: margin_of(row, chosen[zone]) for zone, row in options.items()}
         margins = [(margin.get(zones.of[a], np.inf), margin.get(zones.of[b], np.inf)) for a, b in ends]
         radii = [np.concatenate([skeleton.branches[i].radius for i, _ in route]) for route in routes]
         own = strand_doubts(curves, inside, margins, radii, width)
-    return Strands(
-        curves=curves,
-        widths=tuple(_width(skeleton.branches, route) for route in routes),
-        inside=inside,
-        closed=tuple(route[0] in partner for route in routes),
-        doubts=tuple(
-            (*(doubt_at[zone] for zone in sorted(at & doubt_at.keys())), *more, *everywhere)
-            for at, more in zip(passed, own, strict=True)
-        ),
-    )
+    return [
+        Strand(
+            curve,
+            _width(skeleton.branches, route),
+            lies_on_others,
+            route[0] in partner,
+            (*(doubt_at[zone] for zone in sorted(at & doubt_at.keys())), *more, *everywhere),
+        )
+        for curve, route, lies_on_others, at, more in zip(curves, routes, inside, passed, own, strict=True)
+    ]
 
 
 def _width(branches: tuple[Branch, ...], route: list[Arm]) -> float:
@@ -155,7 +126,7 @@ def _options(
     """
     cost = {(a, b): bending(leads[a], leads[b]) for n, a in enumerate(group) for b in group[n + 1 :]}
     unlike = {pair for pair in cost if looks and are_unlike(looks[pair[0]], looks[pair[1]])}
-    if len(group) > _MOST_TRIED:
+    if len(group) > MOST_ORDERED:
         pairing: list[tuple[Arm, Arm]] = []
         for a, b in sorted(cost.keys() - unlike, key=lambda pair: (cost[pair], pair)):
             if not any({a, b} & set(pair) for pair in pairing):

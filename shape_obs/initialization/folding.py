@@ -20,15 +20,12 @@ from shape_obs.geometry.polyline import arc_length
 Array = npt.NDArray[np.float64]
 Places = npt.NDArray[Any]  # complex numbers, u + v i
 
-_N: Final = 256  # places around the outline
-_SIDE_POINTS: Final = 96  # along its sides, and of those the ones by which tips are chosen
-_SIDE_PROBES: Final = 32
-_SHARP_BENDS: Final = 8  # bends that are tried as tips
-_NEAR: Final = 3  # places
-# In widths: the steps by which an outline is followed, and the reach to both sides over which its direction is taken.
-_STEP: Final = 0.25
-_REACH: Final = 1.0
-_LEAST: Final = 2 / np.pi  # length of the axis over that of the outline around a round tip, and at the least
+AXIS_POINTS: Final = 96  # of an axis from tip to tip, at least
+_N: Final = 256  # places around the outline, a power of 2 for the Fourier transform
+_SIDE_PROBES: Final = AXIS_POINTS // 3  # points of both sides by which tips are chosen: as good as all, and quicker
+_SHARP_BENDS: Final = 8  # bends that are tried as tips: 45 pairs with the fold's own two
+_STEP: Final = 0.25  # widths from point to point of an outline, whose direction is taken over a width to both sides
+_LEAST: Final = 2 / np.pi  # length of the axis over that of the outline: a round tip, half a circle over its diameter
 
 
 def fold_outline(outline: Array, width: float) -> Array:
@@ -44,14 +41,14 @@ def fold_outline(outline: Array, width: float) -> Array:
     closed = np.concatenate([outline, outline[:1]])
     arc = arc_length(closed)
     if arc[-1] == 0:  # a single pixel
-        return np.repeat(outline[:1], _SIDE_POINTS, axis=0)
+        return np.repeat(outline[:1], AXIS_POINTS, axis=0)
     traced, arc = _along_axis(_complex(closed), arc, width)
     step = float(arc[-1]) / _N
     even = np.interp(np.arange(_N) * step, arc, traced)
     tip = _half_fold(even)
     tips = np.unique(np.array([tip, tip + _N / 2, *sharp_bends(even, width / step)]) % _N)
     first, second = (tips[chosen] for chosen in closest_sides(even, tips))
-    share = np.linspace(0, 1, _SIDE_POINTS)
+    share = np.linspace(0, 1, AXIS_POINTS)
     sides = first + share * (second - first), first - share * (_N - second + first)
     middle = sum(np.interp(side % _N * step, arc, traced) for side in sides) / 2
     return np.stack([middle.real, middle.imag], axis=1)
@@ -71,7 +68,7 @@ def _along_axis(traced: Places, arc: Array, width: float) -> tuple[Places, Array
     count = max(int(arc[-1] / max(_STEP * width, 1.0)), _N)
     at = np.linspace(0.0, arc[-1], count + 1)
     places = np.interp(at, arc, traced)
-    reach = min(max(round(_REACH * width / at[1]), 1), count // 4)
+    reach = min(max(round(width / at[1]), 1), count // 4)
     chord = np.roll(places[:-1], -reach) - np.roll(places[:-1], reach)
     turn = np.angle(np.roll(chord, -1) * chord.conj())
     outer = turn * np.sign(turn.sum())  # the way around as a whole turns outwards
@@ -130,15 +127,10 @@ def _place(even: Places, at: float) -> complex:
 
 
 def _half_fold(even: Places) -> float:
-    """Return half of the best k of the fold i -> k - i, one of its fixed points. Every other place finds its region."""
-    near = 2 * int(np.argmax(_overlap(even[::2]))) + np.arange(-_NEAR, _NEAR + 1)
-    return float(near[np.argmax(_overlap(even)[near % _N])] % _N) / 2
-
-
-def _overlap(even: Places) -> Array:
-    """Return how much an outline overlaps itself for every fold i -> k - i."""
+    """Return half of the k whose fold i -> k - i of an outline overlaps itself best: one of its fixed points."""
     centred = even - even.mean()
-    return np.fft.ifft(np.fft.fft(centred) * np.fft.fft(centred.conj())).real
+    overlap = np.fft.ifft(np.fft.fft(centred) * np.fft.fft(centred.conj())).real
+    return int(np.argmax(overlap)) / 2
 
 
 @compiled("(c16[::1], f8)")

@@ -14,17 +14,15 @@ from shape_obs.geometry.polyline import arc_length, interpolate
 
 Array = npt.NDArray[np.float64]
 
-# So many pieces are joined in the best order of all; the work doubles with each more. Beyond, nearest and straightest
-# first.
-_MOST_ORDERED: Final = 7
-# In widths: over how much of a piece its direction is taken.
-_REACH: Final = 1.5
-# What of a piece's end is not looked at, and cut off in a gap, in widths: at a slanting cut a centreline runs into the
-# sharper corner.
-_RAGGED: Final = 0.7
-# What the bending energy of a bridge costs, in widths of gap: a right angle over five widths as much as three widths.
-_STIFFNESS: Final = 6.0
-_WIDE: Final = 5.0  # widths: over a wider gap it is doubted that a rope turns back
+CHORD: Final = 1.5  # widths of rope over which a direction is taken: less follows the pixels, more cuts the bends
+NOISE: Final = 0.08  # rad^2, see ``bending``: what noise makes two strands bend, or one way to go on more than another
+CLEAR: Final = 0.35  # rad^2: a rope bends less over a gap; what meets another rope at 70 degrees bends 0.37 more
+RIVAL: Final = 1.15  # times: another way to join that is dearer by less is about as likely
+MOST_ORDERED: Final = 8  # pieces or strands of which all orders or pairs are tried: the work doubles with each more
+_SHARP: Final = math.radians(75)  # between two chords; in a circle two widths in diameter they turn by 43 degrees
+_RAGGED: Final = 0.7  # widths of a piece cut off at a gap: at a slanting cut an axis runs into the sharper corner
+STIFFNESS: Final = 24.0  # widths of gap that 1 rad^2 costs over one width: a right angle over five widths costs three
+NEAR: Final = 5.0  # widths between ends in one place: two ropes that end there may be one, and one may turn back there
 
 
 class Bridged(NamedTuple):
@@ -35,7 +33,7 @@ class Bridged(NamedTuple):
         bridged: ``(P,)`` bool, the points in the gaps.
         rival: Price of the best way to join the pieces that differs in a gap, over the price of this one; inf if there
             is no other.
-        bent: What the bridge over a wide gap bends at most, see ``bending``; 0 if no gap is wide.
+        bent: What a bridge over a wide gap bends at most, see ``bending``; 0 if no gap is wide.
     """
 
     curve: Array
@@ -56,7 +54,7 @@ def bridge(pieces: list[Array], width: float) -> Bridged:
     if len(pieces) == 1:
         return Bridged(pieces[0], np.zeros(len(pieces[0]), bool), np.inf)
     price = _prices([_cut(piece, width) for piece in pieces], width)
-    few = len(pieces) <= _MOST_ORDERED
+    few = len(pieces) <= MOST_ORDERED
     total, order = cheapest_order(price) if few else _greedy(price)
     rival = np.inf
     if few:
@@ -70,10 +68,10 @@ def bridge(pieces: list[Array], width: float) -> Bridged:
         piece = pieces[entry // 2][:: 1 - 2 * (entry % 2)]
         piece = _cut(piece, width, start=place > 0, end=place < len(pieces) - 1)
         if run:
-            if np.linalg.norm(piece[0] - run[-1][-1]) > _WIDE * width:
-                bent = max(bent, bending(lead(run[-1][::-1], _REACH * width), lead(piece, _REACH * width)))
-            out, into = -lead(run[-1][::-1], width).heading, lead(piece, width).heading
-            run.append(hermite(run[-1][-1], out, piece[0], into, width / 4))
+            before, after = lead(run[-1][::-1], width, 1.0), lead(piece, width, 1.0)
+            if np.linalg.norm(piece[0] - run[-1][-1]) > NEAR * width:
+                bent = max(bent, bending(before, after))
+            run.append(hermite(run[-1][-1], -before.heading, piece[0], after.heading, width / 4))
         run.append(piece)
     is_gap = [np.full(len(part), i % 2 == 1) for i, part in enumerate(run)]
     return Bridged(np.concatenate(run), np.concatenate(is_gap), rival / max(total, 1e-9), bent)
@@ -92,14 +90,14 @@ def _cut(piece: Array, width: float, *, start: bool = True, end: bool = True) ->
 def _prices(pieces: list[Array], width: float) -> Array:
     """Return the price of going on from each end to each other, ``(2n, 2n)``; end 2 i + e is of piece i."""
     ends = [piece[:: 1 - 2 * e] for piece in pieces for e in (0, 1)]
-    leads = [lead(end, _REACH * width) for end in ends]
+    leads = [lead(end, width) for end in ends]
     price = np.full((len(ends), len(ends)), np.inf)
     for p, q in combinations(range(len(ends)), 2):
         if p // 2 != q // 2:
             gap = float(np.linalg.norm(ends[q][0] - ends[p][0]))
             reach = float(np.linalg.norm(leads[q].point - leads[p].point)) + width
             bend = bending(leads[p], leads[q])
-            price[p, q] = price[q, p] = gap / width + _STIFFNESS * 4 * bend * width / reach
+            price[p, q] = price[q, p] = gap / width + STIFFNESS * bend * width / reach
     return price
 
 
@@ -171,12 +169,12 @@ class Lead(NamedTuple):
         return np.array([self.heading_u, self.heading_v])
 
 
-def lead(curve: Array, reach: float) -> Lead:
-    """Return how a curve of ``(P, 2)`` pixels leaves its first point: the direction of its first ``reach`` pixels.
+def lead(curve: Array, width: float, chord: float = CHORD) -> Lead:
+    """Return how a rope of a width, ``(P, 2)`` pixels, leaves its first point: the direction of its first chord.
 
     On a bend a chord is parallel to the tangent in its middle, so the two belong together.
     """
-    return Lead(*first_chord(np.ascontiguousarray(curve), reach))
+    return Lead(*first_chord(np.ascontiguousarray(curve), chord * width))
 
 
 @compiled("(f8[:,::1], f8)")
@@ -199,6 +197,33 @@ def bending(before: Lead, after: Lead) -> float:
     first = _turn(-before.heading_u, -before.heading_v, u, v)
     second = _turn(u, v, after.heading_u, after.heading_v)
     return first * first - first * second + second * second
+
+
+@compiled("(f8[:,::1], f8)")
+def sharp_turns(points: Array, width: float) -> int:
+    """Return how often a curve turns more sharply between two chords that meet than ropes do.
+
+    Args:
+        points: ``(P, 2)`` pixels.
+        width: Of the rope, pixels.
+    """
+    arc, reach, limit = arc_length(points), CHORD * width, math.cos(_SHARP)
+    found, free, before, after = 0, 0.0, 0, 0
+    for p in range(len(points)):
+        if arc[p] < reach or arc[-1] - arc[p] < reach:
+            continue
+        while arc[before + 1] <= arc[p] - reach:
+            before += 1
+        while arc[after] < arc[p] + reach and after < len(points) - 1:
+            after += 1
+        if arc[p] < free:
+            continue
+        du, dv = points[p, 0] - points[before, 0], points[p, 1] - points[before, 1]
+        far_u, far_v = points[after, 0] - points[p, 0], points[after, 1] - points[p, 1]
+        if du * far_u + dv * far_v < limit * np.hypot(du, dv) * np.hypot(far_u, far_v):
+            found += 1
+            free = arc[p] + 2 * reach  # one turn is counted once
+    return found
 
 
 @compiled("(f8[::1], f8[::1], f8[::1], f8[::1], f8)")

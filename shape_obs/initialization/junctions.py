@@ -19,41 +19,23 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.geometry.polyline import arc_length
-from shape_obs.initialization.gaps import Lead, bending
+from shape_obs.initialization.gaps import NOISE, Lead, bending
 from shape_obs.initialization.skeleton import Branch, Skeleton, degrees
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Arm = tuple[int, int]  # a branch, and which of its ends
 
-# What it costs that a rope ends in the middle of a mask, as widths of a shared branch: two such ends are dearer than
-# any crossing's shared branch, and cheaper than a rope lying on itself for this far.
-_END: Final = 8.0
-# Ways to match zones that are tried; twelve zones that are all linked have as many.
-_MOST_WAYS: Final = 4096
-# The price of a width of a shared branch where its radius is that of one strand, and of two side by side, in widths.
-_THICK: Final = (0.55, 0.8)
-_PER_WIDTH: Final = (3.0, 0.2)
-# Radius over the width of one strand: 0.5 to 0.71 in the middle of a crossing, from acute to square; 0.9 to 1 of
-# strands side by side. Below the first they lie on top of each other, above the second they do not.
-_ONE: Final = 0.76
-_TWO: Final = 0.84
-# A waist of strands that cross at 25 degrees is two widths long, a little longer where they bend. Along a longer one
-# strands may change sides unseen.
-_LONGEST: Final = 8.0
-# Nowhere are strands that cross thinner than one strand: a neck is where two touch in a few pixels, side by side.
-_NECK: Final = 0.42
+_END: Final = 8.0  # widths of a shared branch that a rope's end in a mask costs: no crossing shares as many
+_MOST_WAYS: Final = 4096  # ways to match zones that are tried: twelve zones that are all linked have as many
+_PER_WIDTH: Final = (3.0, 0.2)  # price of a width of a shared branch as thick as one strand, and as two side by side
+_ALONE: Final = 0.56  # radius over width: one strand has 0.5, and is thicker by noise alone
+_ONE: Final = 0.76  # radius over width, below which strands lie on each other: in crossings it is 0.5 to 0.71
+_TWO: Final = 0.84  # radius over width, above which they lie side by side: there it is 0.9 to 1
+_NECK: Final = 0.42  # radius over width: thinner than one strand is a neck, where two touch in a few pixels
 _OVERLAPPING: Final = 0.9  # of the radii of two nodes: a shorter branch lies between strands, not along one
-_BLOB: Final = 4.0
-_THICKER: Final = 0.56
-_NODE: Final = 0.5  # widths: a branch shorter than this is one node that thinning took apart
-# The skeleton strays from the axis by a pixel, and the radius drops: within so many widths the largest counts.
-_JITTER: Final = 0.2
-
-
-# Squared radians in all: two strands that bend less go straight on, and other pairs that bend so much more are bent.
-_STRAIGHT: Final = 0.25
-_BENT: Final = 0.06
+_BLOB: Final = 4.0  # widths: a shorter branch thicker than a strand lies where three or more cross in nearly one place
+_JITTER: Final = 0.2  # widths within which the largest radius counts: a skeleton is a pixel off the axis
 
 
 class Zones(NamedTuple):
@@ -95,7 +77,7 @@ def _is_inner(branch: Branch, degree: Counter[int], width: float) -> bool:
     if branch.length >= _BLOB * width:
         return False
     typical = float(np.sort(branch.radius)[len(branch.radius) // 5]) / width
-    return _THICKER < typical < _ONE
+    return _ALONE < typical < _ONE
 
 
 def find_zones(skeleton: Skeleton) -> Zones:
@@ -162,7 +144,7 @@ def connected(count: int, pairs: Index) -> Index:
 
 def _price(branch: Branch, width: float) -> float:
     """Return the cost of sharing a branch: its length in widths, more where it is slender."""
-    slender = np.interp(branch.radius / width, _THICK, _PER_WIDTH)
+    slender = np.interp(branch.radius / width, (_ALONE, _TWO), _PER_WIDTH)
     return branch.length / width * float(slender.mean())
 
 
@@ -187,7 +169,7 @@ class Overlap(NamedTuple):
 
 
 def follow(branch: Branch, starts: list[Arm], ends: list[Arm], leads: dict[Arm, Lead], width: float) -> Overlap | None:
-    """Follow two strands along the branch they share; None where the branch is too short or thin to decide.
+    """Follow two strands along the branch they share; None where the branch is too thin to decide.
 
     Args:
         branch: With the skeleton's radii.
@@ -196,7 +178,7 @@ def follow(branch: Branch, starts: list[Arm], ends: list[Arm], leads: dict[Arm, 
         leads: How they leave.
         width: Of one strand, pixels.
     """
-    if float(branch.radius.min()) < _NECK * width or branch.length < _NODE * width:
+    if float(branch.radius.min()) < _NECK * width:
         return None
     side, doubt, clear = _sides(branch, width)
     if not clear:
@@ -218,10 +200,10 @@ def follow(branch: Branch, starts: list[Arm], ends: list[Arm], leads: dict[Arm, 
 
 
 def is_bent(overlap: Overlap, leads: dict[Arm, Lead]) -> bool:
-    """Return whether two strands would have to bend along a shared branch, while the other way both go straight on."""
+    """Return whether two strands would bend less the other way than along a shared branch."""
     (a, b), (c, d) = overlap.pairs
     bends = [sum(bending(leads[p], leads[q]) for p, q in ((a, x), (c, y))) for x, y in ((b, d), (d, b))]
-    return bends[1] < _STRAIGHT and bends[0] - bends[1] > _BENT
+    return bends[0] - bends[1] > NOISE
 
 
 def _by_side(arms: list[Arm], leads: dict[Arm, Lead], middle: Array, ahead: Array) -> list[Arm]:
@@ -232,7 +214,8 @@ def _by_side(arms: list[Arm], leads: dict[Arm, Lead], middle: Array, ahead: Arra
 def _sides(branch: Branch, width: float) -> tuple[npt.NDArray[np.intp], str, bool]:
     """Return on which side a strand runs that begins on the right ``(1)``: ``(P,)`` 1 or -1.
 
-    With it why the sides may be wrong, or nothing.
+    With it why the sides may be wrong, or nothing: a waist of strands that cross at 25 degrees is two widths long, a
+    little longer where they bend, and along a much longer one strands may change sides unseen.
     """
     from scipy.ndimage import maximum_filter1d  # takes 0.2 s to import
 
@@ -247,7 +230,7 @@ def _sides(branch: Branch, width: float) -> tuple[npt.NDArray[np.intp], str, boo
             start = i
         if start is not None and (value > _TWO or i == len(arc) - 1):
             side[(start + i + 1) // 2 :] *= -1
-            if arc[i] - arc[start] > _LONGEST * width:
+            if arc[i] - arc[start] > _END * width:
                 doubt = f"strands lie on each other for {arc[i] - arc[start]:.0f} px: which comes out where is a guess"
             start = None
     return side, doubt, not _ONE <= relative.min() < _TWO

@@ -16,19 +16,13 @@ Array = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.uint8]
 Arm = tuple[int, int]  # a branch, and which of its ends
 
-# A strand is measured over so many widths from where it is clear of the others; over less than that share of a width
-# nothing is known.
-_ALONG: Final = 6.0
-_LEAST: Final = 0.6
-# Two strands are unlike in width if they differ by this share of their mean, by so many pixels, and by so many times
-# what each varies along its way.
-_WIDER: Final = 0.36
-_PIXELS: Final = 2.5
-_VARIED: Final = 2.5
-# And in colour by so many grey levels. Brightness counts less than hue: it changes with the direction of the light.
-_UNLIKE: Final = 36.0
-_MIXED: Final = 3.0
-_OPPONENT: Final = np.array([[0.12, 0.12, 0.12], [0.7, -0.7, 0.0], [0.4, 0.4, -0.8]]).T
+_ALONG: Final = 6.0  # widths from where a strand is clear of the others, over which it is measured
+_WIDER: Final = 0.36  # share of their mean width by which two strands are unlike
+_PIXELS: Final = 2.5  # pixels by which they differ as well: the error of two widths
+_VARIED: Final = 2.5  # times what either varies along its way, by which they differ as well, in width or in colour
+_UNLIKE: Final = 36.0  # grey levels by which two strands are unlike in colour
+# Brightness, red against green, yellow against blue: brightness counts less, it changes with the direction of light.
+_OPPONENT: Final = np.array([[0.12, 0.12, 0.12], [0.7, -0.7, 0.0], [0.4, 0.4, -0.8]]).T  # grey levels from RGB
 
 
 class Look(NamedTuple):
@@ -56,7 +50,7 @@ def are_unlike(one: Look, other: Look) -> bool:
     if one.colour is None or other.colour is None:
         return False
     apart = float(np.linalg.norm(one.colour - other.colour))
-    return apart > max(_UNLIKE, _MIXED * (one.mixed + other.mixed))
+    return apart > max(_UNLIKE, _VARIED * (one.mixed + other.mixed))
 
 
 def looks_of_arms(branches: list[Branch], arms: list[Arm], free: set[Arm], picture: Picture | None) -> dict[Arm, Look]:
@@ -90,7 +84,7 @@ def _look_of_arm(
     start = float(radius[-arm[1]]) + 0.5 * typical
     stop = length - (typical if ends_freely else float(radius[arm[1] - 1]) + 0.5 * typical)
     stop = min(stop, start + _ALONG * 2 * typical)
-    if stop - start < max(_LEAST * 2 * typical, 3.0):
+    if stop - start < max(typical, 3.0):
         return Look()
     low, high = (length - stop, length - start) if arm[1] else (start, stop)
     first, last, middle, deviation = middle_width(radius, arc, low, high)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -12,27 +12,21 @@ from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.image.outline_tracing import SPECK, fill_holes
 from shape_obs.image.region import Component, Region
-from shape_obs.initialization.crossings import Evidence, untangle
-from shape_obs.initialization.folding import closest_sides, fold_outline, unexplained_share
-from shape_obs.initialization.gaps import bridge, cheapest_order, first_chord, hermite
-from shape_obs.initialization.skeleton import middle_value, skeleton_graph, trace_skeleton
-from shape_obs.initialization.strand_curves import joint, middle_part, smooth_curve
+from shape_obs.initialization.crossings import untangle
+from shape_obs.initialization.folding import AXIS_POINTS, closest_sides, fold_outline, unexplained_share
+from shape_obs.initialization.gaps import RIVAL, bridge, cheapest_order, first_chord, hermite
+from shape_obs.initialization.likeness import Picture
+from shape_obs.initialization.skeleton import MOST_OF_NOISE, middle_value, skeleton_graph, trace_skeleton
+from shape_obs.initialization.strand_curves import Strand, joint, middle_part, smooth_curve
 from shape_obs.initialization.thinning import thin_pixels
 
 Array = npt.NDArray[np.float64]
 
-_POINTS: Final = (96, 256)
-_SPACING: Final = 0.4  # of the points of a traced curve, in widths
-# Of a simple ribbon: how far from the folded curve its outline may lie, in widths (it is half a width along the sides,
-# 0.7 at square ends), and the share of it that may lie farther, because it is ragged.
-_RIBBON: Final = (1.0, 0.03)
-# A strand that ends on another one is left out as noise while no more of the skeleton than this is left out in all.
-_UNEXPLAINED: Final = 0.1
-_BUMP: Final = 0.65  # widths by which a bump sticks out of one of several ropes
-_MOST_HOLES: Final = 300  # narrow ones among them, which noise makes; the loops of a rope are far fewer
-# Another way to join the pieces that is dearer by this little is as likely.
-_RIVAL: Final = 1.15
-_TURNS_BACK: Final = 1.8  # rad^2, see ``bending``: an arc of 155 degrees over a wide gap
+_SPACING: Final = 0.4  # widths from point to point of a traced curve
+_RAGGED: Final = 0.03  # share of a ribbon's outline that may lie over a width from its axis; square ends have 0.7
+_UNEXPLAINED: Final = 0.1  # share of all strands that is left out as noise, of those that end on another one
+_BUMP: Final = 0.65  # widths that a bump sticks out of one of several ropes, where a longer one is an end of another
+_TURNS_BACK: Final = 1.8  # rad^2, see ``bending``: an arc of 155 degrees
 
 #: The compiled functions that finding an axis in a mask may call.
 AXIS_FUNCTIONS: Final = (
@@ -57,35 +51,13 @@ def medial_axis(observed: Any) -> FittedCurve:
     return axis if region is observed else observed.lifted(axis)
 
 
-class Strand(NamedTuple):
-    """A piece of rope that goes on straight over all crossings, from where it begins to where it ends.
-
-    Args:
-        curve: ``(P, 2)`` pixels at even steps, in no particular direction.
-        width: Pixels.
-        inside: Whether its first and its last end lie on another strand, instead of freely.
-        closed: Whether it is a ring, cut open somewhere.
-        doubts: Why it may be wrong, in words.
-    """
-
-    curve: Array
-    width: float
-    inside: tuple[bool, bool] = (False, False)
-    closed: bool = False
-    doubts: tuple[str, ...] = ()
-
-    @property
-    def length(self) -> float:
-        """The length, pixels."""
-        return float(arc_length(np.ascontiguousarray(self.curve))[-1])
-
-
-def find_strands(region: Region, evidence: Evidence | None = None) -> tuple[list[Strand], str]:
+def find_strands(region: Region, picture: Picture | None = None, *, several: bool = False) -> tuple[list[Strand], str]:
     """Return the strands of all components of a mask: simple ribbons are folded, the others thinned to a skeleton.
 
     Args:
         region: The mask.
-        evidence: By what several ropes differ; None if all strands are of one rope.
+        picture: ``(H, W, 3)`` RGB, in which ropes may have colours of their own; None without one.
+        several: Whether the strands are of several ropes.
 
     Returns:
         The strands, and why the mask shows no ropes; one of the two is empty.
@@ -96,14 +68,14 @@ def find_strands(region: Region, evidence: Evidence | None = None) -> tuple[list
     if len(strands) == len(folds):
         return strands, ""
     holes = int(np.count_nonzero(region.traced.holes[:, 3] >= SPECK))
-    if holes > _MOST_HOLES:
+    if holes > MOST_OF_NOISE:
         return [], f"the mask has {holes} holes: it is no rope"
-    skeleton = skeleton_graph(_without(region, ribbons), region.window[:2], _BUMP if evidence is not None else 0.0)
+    skeleton = skeleton_graph(_without(region, ribbons), region.window[:2], _BUMP if several else 0.0)
     if skeleton.excess:
         return [], f"{skeleton.excess}: it is no rope"
-    for curve, width, inside, closed, doubts in zip(*untangle(skeleton, evidence), strict=True):
-        evened = even(curve, np.zeros(len(curve), bool), width)[0]
-        strands.append(Strand(evened, width, inside, closed, doubts))
+    for strand in untangle(skeleton, picture, several=several):
+        evened = even(strand.curve, np.zeros(len(strand.curve), bool), strand.width)[0]
+        strands.append(strand._replace(curve=evened))
     return strands, "" if strands else "the mask has no axis"
 
 
@@ -119,7 +91,7 @@ def _axis_of_mask(region: Region) -> FittedCurve:
         return _axis(kept[0].curve, doubt="; ".join(dict.fromkeys(doubts)))
     width = max(strand.width for strand in kept)
     joined = bridge([strand.curve for strand in kept], width)
-    if joined.rival < _RIVAL:
+    if joined.rival < RIVAL:
         doubts.append("the pieces could be joined in another order about as well")
     if region.pieces > 1 and joined.bent > _TURNS_BACK:
         doubts.append("it would have to turn back where it is hidden: these may be two ropes, which count=2 finds")
@@ -136,9 +108,8 @@ def folded(component: Component) -> Array | None:
     """Return the centreline of a component if it is a simple ribbon: no hole, and all of it near; else None."""
     if component.holes:
         return None
-    outline, (near, ragged) = component.outline, _RIBBON
-    curve = fold_outline(outline, component.width)
-    return curve if unexplained_share(outline, curve, near * component.width) <= ragged else None
+    curve = fold_outline(component.outline, component.width)
+    return curve if unexplained_share(component.outline, curve, component.width) <= _RAGGED else None
 
 
 def _without(region: Region, ribbons: list[Component]) -> npt.NDArray[np.uint8]:
@@ -176,6 +147,6 @@ def even(curve: Array, bridged: npt.NDArray[np.bool_], width: float) -> tuple[Ar
     """Return the curve at even steps, and which of its points lie in gaps."""
     curve = np.ascontiguousarray(curve)
     arc = arc_length(curve)
-    at = np.linspace(0.0, arc[-1], int(np.clip(round(arc[-1] / (_SPACING * width)), *_POINTS)))
+    at = np.linspace(0.0, arc[-1], max(round(arc[-1] / (_SPACING * width)), AXIS_POINTS))
     nearest = np.clip(np.searchsorted(arc, at), 1, len(arc) - 1)
     return interpolate(curve, arc, at), bridged[nearest] | bridged[nearest - 1]

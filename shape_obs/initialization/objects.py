@@ -14,7 +14,8 @@ from shape_obs.image.region import Region
 
 Array = npt.NDArray[np.float64]
 
-_OUTLINE: Final = 64  # points of an outline that are compared with a track
+SHORTEST_ROPE: Final = 3.0  # widths: what is shorter is no rope, see ``Centerline``
+COMPARED: Final = 64  # points of a curve or an outline that are compared with a track
 
 
 class SceneObject(NamedTuple):
@@ -47,6 +48,6 @@ def find_components(region: Region) -> tuple[list[SceneObject], str]:
         own = np.ascontiguousarray(labels == labels[row, column]).view(np.uint8)
         part = find_region(own, region.window, 1, 0.0)
         outline = FittedCurve.through(component.outline, np.zeros(len(component.outline), bool), True)
-        points = FittedCurve.through(outline.even(_OUTLINE), np.zeros(_OUTLINE, bool), True)
+        points = FittedCurve.through(outline.even(COMPARED), np.zeros(COMPARED, bool), True)
         found.append(SceneObject(points, region=part))
     return found, "" if found else "the mask is empty"

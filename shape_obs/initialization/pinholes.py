@@ -10,12 +10,9 @@ import numpy as np
 from shape_obs.image.find_region import find_region
 from shape_obs.image.outline_tracing import SPECK
 from shape_obs.image.region import Region
+from shape_obs.initialization.skeleton import MOST_BRANCHES
 
-# A filled hole of a rope is nowhere deeper in the mask than so many widths: half a width in a strand, 0.7 where two
-# cross. A gap that strands enclose has at least a whole strand around it.
-_DEPTH: Final = 0.8
-_LARGEST: Final = 2.0  # squares of a width: a larger hole is no hole of a rope
-_MOST: Final = 64  # holes that are looked at
+_DEPTH: Final = 0.8  # widths from a hole to the border if it is filled: 0.5 in a strand, 0.7 in a crossing, 1 in a loop
 
 
 def without_pinholes(region: Region) -> Region:
@@ -31,8 +28,8 @@ def without_pinholes(region: Region) -> Region:
     """
     traced = region.traced
     width = traced.widths[traced.holes[:, 0].astype(np.intp)]
-    some = (traced.holes[:, 3] >= SPECK) & (traced.holes[:, 5] < _LARGEST * width * width + 1.0)
-    if not some.any() or np.count_nonzero(some) > _MOST:
+    some = (traced.holes[:, 3] >= SPECK) & (traced.holes[:, 5] < np.pi * (_DEPTH * width) ** 2 + 1.0)
+    if not some.any() or np.count_nonzero(some) > MOST_BRANCHES:
         return region
     mask, found = (region.mask > 0).view(np.uint8), False
     if mask.base is not None:

@@ -10,25 +10,20 @@ import numpy.typing as npt
 
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.image.region import Region
-from shape_obs.initialization.crossings import Evidence
-from shape_obs.initialization.gaps import Lead, bending, bridge, lead
+from shape_obs.initialization.gaps import CLEAR, NOISE, RIVAL, STIFFNESS, Lead, bending, bridge, lead
 from shape_obs.initialization.likeness import Picture, are_unlike, look_of_end
-from shape_obs.initialization.medial_axis import Strand, even, find_strands
-from shape_obs.initialization.objects import SceneObject
+from shape_obs.initialization.medial_axis import even, find_strands
+from shape_obs.initialization.objects import SHORTEST_ROPE, SceneObject
 from shape_obs.initialization.pinholes import without_pinholes
+from shape_obs.initialization.strand_curves import Strand
 from shape_obs.initialization.strand_doubts import reach_beyond
 
 Array = npt.NDArray[np.float64]
 End = tuple[int, int]  # a strand, and which of its ends
 
-# In widths: a shorter strand with an end on another one is a knob or noise, and a shorter one is no rope at all.
-_STUB: Final = 4.0
-_SHORTEST: Final = 3.0
-_SURE: Final = 0.08  # rad^2: over a gap where it bends more, a rope is joined, and doubted
-_ACROSS: Final = 0.15  # rad^2: where it bends more between another rope and a gap next to it, a rope is not joined
-_RIVAL: Final = 2.0  # how much dearer the next best way over a gap must be for either end
-_STIFFNESS: Final = 12.0  # widths of a gap that a bend of 1 rad^2 is as dear as
-_REACH: Final = 1.5  # widths over which an end's direction is taken
+
+_ACROSS: Final = 0.15  # rad^2 that a rope bends at most between another rope and a gap next to it
+_STUB: Final = 4.0  # widths: what is shorter and ends on another rope is a knob of that one, or noise
 
 
 class Gap(NamedTuple):
@@ -43,7 +38,7 @@ class Gap(NamedTuple):
     bend: float
 
 
-NARROW: Final = Gap(3.0, 0.3)
+NARROW: Final = Gap(3.0, CLEAR)  # what noise or another rope leaves out of a mask
 
 
 def find_ropes(region: Region, picture: Picture | None = None, gap: Gap = NARROW) -> tuple[list[SceneObject], str]:
@@ -54,16 +49,12 @@ def find_ropes(region: Region, picture: Picture | None = None, gap: Gap = NARROW
         picture: ``(H, W, 3)`` RGB, in which ropes may have colours of their own; None without one.
         gap: What may lie between two pieces of one rope.
     """
-    strands, refusal = find_strands(without_pinholes(region), Evidence(picture))
-    strands = [strand for strand in strands if not _is_stub(strand)]
+    strands, refusal = find_strands(without_pinholes(region), picture, several=True)
+    strands = [each for each in strands if each.length >= (_STUB if any(each.inside) else SHORTEST_ROPE) * each.width]
     ropes = [_rope(strand, region) for strand in _joined(strands, region, picture, gap)]
     if not ropes and not refusal:
-        refusal = f"nothing in the mask is {_SHORTEST:.2g} times as long as it is wide"
+        refusal = f"nothing in the mask is {SHORTEST_ROPE:.2g} times as long as it is wide"
     return sorted(ropes, key=lambda rope: -rope.curve.size), refusal
-
-
-def _is_stub(strand: Strand) -> bool:
-    return strand.length < (_STUB if any(strand.inside) else _SHORTEST) * strand.width
 
 
 def _joined(strands: list[Strand], region: Region, picture: Picture | None, widest: Gap) -> list[Strand]:
@@ -73,7 +64,7 @@ def _joined(strands: list[Strand], region: Region, picture: Picture | None, wide
     """
     ends = [(i, e) for i, strand in enumerate(strands) if not strand.closed for e in (0, 1)]
     away = {(i, e): strands[i].curve[:: 1 - 2 * e] for i, e in ends}
-    leads = {(i, e): lead(curve, _REACH * strands[i].width) for (i, e), curve in away.items()}
+    leads = {(i, e): lead(curve, strands[i].width) for (i, e), curve in away.items()}
     across = {
         (i, e): reach_beyond(away[i, e], strands[i].width, region).border for i, e in ends if strands[i].inside[e]
     }
@@ -86,14 +77,14 @@ def _joined(strands: list[Strand], region: Region, picture: Picture | None, wide
     of = {i: i for i in chains}
     for (a, b), cost in sorted(price.items(), key=lambda item: item[1]):
         rivals = [other for pair, other in price.items() if pair != (a, b) and {a, b} & set(pair)]
-        if min(rivals, default=np.inf) < _RIVAL * cost or of[a[0]] == of[b[0]]:
+        if min(rivals, default=np.inf) < RIVAL * cost or of[a[0]] == of[b[0]]:
             continue
         first, second = chains.pop(of[a[0]]), chains.pop(of[b[0]])
         first = first if _last(first) == a else _turned(first)
         second = second if second[0] == b else _turned(second)
         chains[first[0][0]] = first + second
-        sure = _ACROSS if a in across or b in across else _SURE
-        doubted |= {a[0]} if bending(leads[a], leads[b]) > sure else set()
+        if not {a, b} & across.keys() and bending(leads[a], leads[b]) > NOISE:
+            doubted.add(a[0])
         of |= {i: first[0][0] for i, _ in first + second}
     return [
         _chained([strands[i] for i, _ in chain], _outer(strands, chain), bent=any(i in doubted for i, _ in chain))
@@ -117,7 +108,7 @@ def _price(
     most = _ACROSS if a in across or b in across else widest.bend
     gap = max(float(np.linalg.norm(ends[1] - ends[0])) - across.get(a, 0.0) - across.get(b, 0.0), 0.0) / width
     bend = bending(leads[a], leads[b]) if gap < widest.widths else np.inf
-    return gap + _STIFFNESS * bend if bend < most else np.inf
+    return gap + STIFFNESS / 2 * bend if bend < most else np.inf
 
 
 def _last(chain: list[End]) -> End:

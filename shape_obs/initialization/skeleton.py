@@ -22,20 +22,12 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
 Index = npt.NDArray[Any]
 
-# A thick rope is thinned on a coarser grid, this many cells across: its axis comes out just as well, much sooner.
-_CELLS_ACROSS: Final = 20.0
-# A branch that ends freely within this many radii of where it leaves is a corner of the outline, not a strand: the
-# skeleton runs into a square corner for 1.4 radii.
-_SPUR: Final = 1.7
-# Holes no wider on average than this share of the thickest radius are noise, or the seam between strands side by side:
-# each would make a loop, and strands that part are recognised by their thickness as well.
-_SLIT: Final = 0.3
-
-# A rope that crosses itself ten times has 31 branches. The time for pairing them, and for pruning, grows with the
-# square of their number.
-_MOST_BRANCHES, _MOST_PRUNED = 60, 300
-# The outline lies half a cell before the background's centre, and a cell of the skeleton a quarter off the axis.
-_OFF_AXIS: Final = 0.25
+_CELLS_ACROSS: Final = 20.0  # cells: a thicker rope is thinned on a coarser grid, as exactly and much sooner
+_SPUR: Final = 1.7  # radii: a shorter branch with a free end is no strand; into a square corner a skeleton runs for 1.4
+_SLIT: Final = 0.3  # of the largest radius: a hole no wider on average is noise or a seam, and would make a loop
+MOST_BRANCHES: Final = 60  # of ropes: one that crosses itself ten times has 31, and the time grows with their square
+MOST_OF_NOISE: Final = 300  # holes, or branches before pruning: noise makes some, but more take too long to remove
+_OFF_AXIS: Final = 0.25  # cells: the border lies 0.5 before the background, and a skeleton 0.25 off the axis
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +90,7 @@ def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0), bump: f
         Spurs pruned, no node between just two branches; without branches for a mask of specks.
     """
     left, top, width, height = cv2.boundingRect(mask)
-    grid = _framed((mask[top : top + height, left : left + width] > 0).view(np.uint8))
+    grid = np.pad((mask[top : top + height, left : left + width] > 0).view(np.uint8), 1)
     away = _distances(grid)
     cell = int(max(2 * _thickest(away) / _CELLS_ACROSS, 1))
     if cell > 1:
@@ -106,12 +98,12 @@ def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0), bump: f
         away = _distances(grid)
     smooth = smoothed(grid)
     holes, filled = _fill_slits(smooth, _thickest(away))
-    if holes > _MOST_BRANCHES:  # at least one branch for each
+    if holes > MOST_BRANCHES:  # at least one branch for each
         return Skeleton((), 1.0, f"the mask has {holes} holes")
     if smooth is not grid or filled:
         grid, away = smooth, _distances(smooth)
     places, stops, nodes = trace_skeleton(*thinned(grid))
-    if len(stops) > _MOST_PRUNED:
+    if len(stops) > MOST_OF_NOISE:
         return Skeleton((), 1.0, f"the mask branches {len(stops)} times")
     # The frame is a cell wide, and a cell's middle lies between pixels where their number is even.
     shift = np.array([origin[0] + left, origin[1] + top]) - cell + (cell - 1) / 2
@@ -122,7 +114,7 @@ def skeleton_graph(mask: Mask, origin: tuple[float, float] = (0.0, 0.0), bump: f
     ends = zip([0, *stops.tolist()], stops.tolist(), nodes.tolist(), strict=False)
     found = (Branch(pixels[first:last], radius[first:last], (a, b)) for first, last, (a, b) in ends)
     branches = _pruned(found, 2 * bump * typical)
-    if len(branches) > _MOST_BRANCHES:
+    if len(branches) > MOST_BRANCHES:
         return Skeleton((), 1.0, f"the mask branches {len(branches)} times")
     return Skeleton(tuple(branches), max(2 * typical, 1.0))
 
@@ -140,13 +132,6 @@ def _thickest(away: npt.NDArray[np.float32]) -> float:
 def middle_value(values: Array) -> float:
     """Return the median of one value or more."""
     return np.median(values)
-
-
-def _framed(piece: Mask) -> Mask:
-    """Return a mask with a frame of 0 one pixel wide."""
-    framed = np.zeros((piece.shape[0] + 2, piece.shape[1] + 2), np.uint8)
-    framed[1:-1, 1:-1] = piece
-    return framed
 
 
 def _coarse(piece: Mask, cell: int) -> Mask:

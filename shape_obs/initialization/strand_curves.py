@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,11 +15,32 @@ from shape_obs.initialization.skeleton import Branch
 
 Array = npt.NDArray[np.float64]
 
-# Of the staircase of pixels, in widths. Less leaves the stairs in the tangents, more cuts the bends.
-_SMOOTHING: Final = 0.35
+_SMOOTHING: Final = 0.35  # widths, sigma of a blur along a branch: less leaves stairs of pixels, more cuts the bends
 _CUT: Final = 0.4  # widths that a free end is cut by, where the skeleton may turn into a corner of the rope's end
-# In widths: along a shared branch longer than this each strand is followed on its side; a shorter one is leapt over.
-_FOLLOWED: Final = 2.0
+_FOLLOWED: Final = 2.0  # widths of a shared branch along which strands are followed; a shorter one is passed smoothly
+
+
+class Strand(NamedTuple):
+    """A piece of rope that goes on straight over all crossings, from where it begins to where it ends.
+
+    Args:
+        curve: ``(P, 2)`` pixels at even steps, in no particular direction.
+        width: Pixels.
+        inside: Whether its first and its last end lie on another strand, instead of freely.
+        closed: Whether it is a ring, cut open somewhere.
+        doubts: Why it may be wrong, in words.
+    """
+
+    curve: Array
+    width: float
+    inside: tuple[bool, bool] = (False, False)
+    closed: bool = False
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def length(self) -> float:
+        """The length, pixels."""
+        return float(arc_length(np.ascontiguousarray(self.curve))[-1])
 
 
 def smooth_branch(branch: Branch, width: float) -> Branch:

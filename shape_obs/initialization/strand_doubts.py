@@ -10,35 +10,18 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.image.region import Region
-from shape_obs.initialization.gaps import lead
+from shape_obs.initialization.gaps import CLEAR, NEAR, NOISE, lead, sharp_turns
 from shape_obs.initialization.junctions import Overlap
 
 Array = npt.NDArray[np.float64]
 Ends = tuple[bool, bool]
 Row = Sequence[tuple[float, Any]]  # what each way to pair the strands of a zone bends, and the pairs; least first
 
-# Squared radians by which the second best pairing must bend more for the best to be believed.
-_CLEAR: Final = 0.06
-
-# A rope that ends on another one: of the strands there the two that go straight on must bend less than any others by so
-# much, squared radians. Where a rope meets another one at 70 degrees it is 0.37.
-_CLEAR_END: Final = 0.35
-_NEAR: Final = 5.0  # widths: two ropes that end on others so near to each other are one rope
-# A rope turns by less between two chords of so many widths.
-_CHORD: Final = 1.5
-_SHARP: Final = np.deg2rad(70)
-_PROBES: Final = 4  # in a chord
 _WIDE: Final = 3.0  # times as wide as a strand is no place where it lies next to others
-# Straight on beyond its end on another rope, the mask of a rope that ends there reaches to the other one's border: half
-# of that one's width from its axis, over the sine of the angle, and a little farther; a bump by so many widths more.
-_SLANT: Final = 1.2
-_STICKS_OUT: Final = 0.3
-_WAYS: Final = np.deg2rad(np.arange(0.0, 180.0, 6.0))  # directions in which the other rope may run
-_ASIDE: Final = 1.8  # radii to both sides, where they are compared
-_LEAST_SINE: Final = 0.35
-_BEYOND: Final = 5.0  # widths that are looked at
+_SLANT: Final = 1.2  # times half a rope's width over the sine of the angle: how far its border may be, straight on
+_STICKS_OUT: Final = 0.3  # widths that a mask reaches beyond a rope's border if something sticks out, not noise
+_LEAST_SINE: Final = 0.35  # of the angle of two ropes, 20 degrees: at a smaller one the border is too far away to see
 
 
 def strand_doubts(
@@ -60,14 +43,14 @@ def strand_doubts(
     doubts: list[list[str]] = [[] for _ in curves]
     ends = [(k, e) for k, lies in enumerate(inside) for e in (0, 1) if lies[e]]
     for k, e in ends:
-        if margins[k][e] < _CLEAR_END:
+        if margins[k][e] < CLEAR:
             doubts[k].append("it ends on another rope, and may as well go on there")
     for (k, e), (other, f) in combinations(ends, 2):
-        if k != other and np.linalg.norm(curves[k][-e] - curves[other][-f]) < _NEAR * width:
+        if k != other and np.linalg.norm(curves[k][-e] - curves[other][-f]) < NEAR * width:
             for each in (k, other):
                 doubts[each].append("it ends where another rope ends: the two may be one")
     for k, curve in enumerate(curves):
-        if sharpest_turn(curve, _CHORD * width) > _SHARP:
+        if sharp_turns(np.ascontiguousarray(curve), width):
             doubts[k].append("it turns sharply where ropes meet")
         own = np.sort(radii[k])
         if own[-1] > _WIDE * own[len(own) // 2]:
@@ -83,7 +66,7 @@ def zone_doubts(
         if zone in overlaps:
             if overlaps[zone].doubt:
                 yield zone, overlaps[zone].doubt
-        elif margin_of(row, chosen[zone]) < _CLEAR:
+        elif margin_of(row, chosen[zone]) < NOISE:
             yield zone, "at a crossing, two ways to go on are about equally straight"
 
 
@@ -112,8 +95,8 @@ def reach_beyond(curve: Array, width: float, region: Region) -> Beyond:
         width: Of the strand, pixels.
         region: The mask.
     """
-    ahead = -lead(curve, 1.5 * width).heading
-    reach = int(_BEYOND * width) + 2
+    ahead = -lead(curve, width).heading
+    reach = int(NEAR * width) + 2
     column, row = int(curve[0, 0]) - region.window.left, int(curve[0, 1]) - region.window.top
     left, top = max(column - 2 * reach, 0), max(row - 2 * reach, 0)
     near = np.pad((region.mask[top : row + 2 * reach, left : column + 2 * reach] > 0).view(np.uint8), 1)
@@ -125,9 +108,10 @@ def reach_beyond(curve: Array, width: float, region: Region) -> Beyond:
         return Beyond(float(stop), False)
     axis = int(np.argmax(along[: min(stop, int(2 * width) + 2)]))
     radius = float(along[axis])
-    # The other rope runs where the mask is thick to both sides.
-    ways = np.stack([np.cos(_WAYS), np.sin(_WAYS)], axis=1)
-    sides = [_values(depth, places + axis * ahead + side * _ASIDE * radius * ways) for side in (-1, 1)]
+    # The other rope runs where the mask is thick to both sides; its border is a radius over the sine from its axis.
+    angles = np.deg2rad(np.arange(0.0, 180.0, 6.0))
+    ways = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    sides = [_values(depth, places + axis * ahead + side * 2 * radius * ways) for side in (-1, 1)]
     way = ways[int(np.argmax(sides[0] + sides[1]))]
     sine = max(abs(float(ahead[0] * way[1] - ahead[1] * way[0])), _LEAST_SINE)
     return Beyond(float(stop), stop - axis > _SLANT * radius / sine + _STICKS_OUT * width)
@@ -138,21 +122,3 @@ def _values(image: npt.NDArray[Any], places: Array) -> Array:
     column, row = np.rint(places).astype(np.intp).T
     inside = (row >= 0) & (column >= 0) & (row < image.shape[0]) & (column < image.shape[1])
     return np.where(inside, image[np.where(inside, row, 0), np.where(inside, column, 0)], 0.0)
-
-
-def sharpest_turn(curve: Array, chord: float) -> float:
-    """Return the largest angle between two chords of a curve that meet, radians; 0 for a curve that is too short.
-
-    Args:
-        curve: ``(P, 2)`` pixels.
-        chord: The length of curve that each spans, pixels.
-    """
-    curve = np.ascontiguousarray(curve)
-    arc = arc_length(curve)
-    points = interpolate(curve, arc, np.arange(0.0, float(arc[-1]), chord / _PROBES))
-    if len(points) <= 2 * _PROBES:
-        return 0.0
-    before = points[_PROBES:-_PROBES] - points[: -2 * _PROBES]
-    after = points[2 * _PROBES :] - points[_PROBES:-_PROBES]
-    cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
-    return float(np.abs(np.arctan2(cross, np.sum(before * after, axis=1))).max())

@@ -16,24 +16,21 @@ from shape_obs.compiled import compiled
 Mask = npt.NDArray[np.uint8]
 Indices = npt.NDArray[np.int64]
 
-# Blur of a mask before it is thinned, cells, and its kernel: a wider one joins strands, and is no better against noise.
-# Strands three cells apart stay apart, and four cells wide they stay.
-_SMOOTH: Final = 1.5
-_KERNEL: Final = (5, 5)
-_RAGGED: Final = 0.05  # of the border that the blur moves by a cell: at least so much is ragged
+_SMOOTH: Final = 1.5  # cells, of a blur that keeps strands three cells apart and four wide; more joins them
+_RAGGED: Final = 0.05  # share of the border that the blur moves by a cell if it is ragged; chosen on noisy masks
 
 
-def _kept(half: int) -> Mask:
-    """Return ``(256,)`` 1 for neighbours (lowest bit above, then clockwise) that keep a pixel in half a pass."""
+def _kept(*, west: bool) -> Mask:
+    """Return ``(256,)`` 1 for neighbours (lowest bit above, then clockwise) that keep a pixel in one half of a pass."""
     n, ne, e, se, s, sw, w, nw = (np.arange(256) >> np.arange(8)[:, None] & 1).astype(bool)
     one, other = np.stack([ne | e, se | s, sw | w, nw | n]), np.stack([n | ne, e | se, s | sw, w | nw])
     pieces = np.sum(one & ~np.stack([n, e, s, w]), axis=0)
     count = np.minimum(one.sum(axis=0), other.sum(axis=0))
-    side = (s | sw | ~nw) & w if half == 0 else (n | ne | ~se) & e
+    side = (s | sw | ~nw) & w if west else (n | ne | ~se) & e
     return 1 - ((pieces == 1) & (count >= 2) & (count <= 3) & ~side).astype(np.uint8)
 
 
-_KEPT: Final = np.stack([_kept(0), _kept(1)])
+_KEPT: Final = np.stack([_kept(west=True), _kept(west=False)])
 
 
 def smoothed(grid: Mask) -> Mask:
@@ -41,7 +38,7 @@ def smoothed(grid: Mask) -> Mask:
 
     A clean mask is returned as it is: a blur also fills the corners between strands that cross.
     """
-    blurred = np.asarray(cv2.GaussianBlur(grid * np.uint8(255), _KERNEL, _SMOOTH))
+    blurred = np.asarray(cv2.GaussianBlur(grid * np.uint8(255), (5, 5), _SMOOTH))
     smooth = np.ascontiguousarray(blurred > 127).view(np.uint8)
     smooth[[0, -1]] = smooth[:, [0, -1]] = 0
     border = np.count_nonzero(smooth[1:] != smooth[:-1]) + np.count_nonzero(smooth[:, 1:] != smooth[:, :-1])

@@ -16,6 +16,7 @@ from shape_obs.tracking.exchanges import exchange_gain
 from shape_obs.tracking.predict import Fit, Prediction, Track, length_in_image
 from shape_obs.tracking.scene import Scene
 from shape_obs.tracking.scene_doubt import (
+    TURN,
     changed_sides,
     claims_the_same,
     doubt_where_they_meet,
@@ -26,14 +27,10 @@ from shape_obs.tracking.scene_doubt import (
 
 Array = npt.NDArray[np.float64]
 
-DOUBTFUL: Final = 1.0  #: Squares of a width: less may speak against fits that are right.
-_EXCHANGED: Final = 20.0  # of bending energy that an exchange of ends would save
-_BENDING: Final = 3.0  # squares of a width that a unit of bending energy counts as: a kink of 40 degrees has a third
-# A rope that meets another one takes over its tip if it is so many widths longer or shorter than it was; what a width
-# more costs, in squares of a width.
-_STEADY: Final = 0.3
-_GROWN: Final = 2.0
-_CHANGED_SIDES: Final = 1.0  # what it costs that two ropes change sides, in widths of RMS distance from the tracks
+DOUBTFUL: Final = 1.0  # squares of a width: less may speak against fits that are right
+_EXCHANGED: Final = 20.0  # times the bend that an exchange of ends would save: what noise explains is taken off
+_STEADY: Final = 0.3  # widths by which noise makes a rope longer or shorter
+_GROWN: Final = 2.0  # squares of a width that a width more or less counts as: it may have taken over another rope's tip
 
 
 class Attempt(NamedTuple):
@@ -94,13 +91,13 @@ def doubt_of(seen: Seen, tries: list[Attempt | None], *, apart: bool = False) ->
             exchange_gain(one, other, width) for (one, width), (other, _) in combinations(strands, 2)
         )
     grown = 0.0 if apart else grown  # the image's border may cut a rope that meets no other
-    doubt = lost + _GROWN * grown + _BENDING * bent + area / median(widths) ** 2
+    doubt = lost + _GROWN * grown + TURN * bent + area / median(widths) ** 2
     return doubt if doubt > DOUBTFUL else 0.0
 
 
 def price_of(seen: Seen, tries: list[Attempt | None], doubt: float) -> float:
-    """Return what speaks against fits, with how far they are from where the tracks go, and changes of sides."""
-    price = doubt + _CHANGED_SIDES * changes_of_sides(seen, tries)
+    """Return what speaks against fits, and how far they are from where the tracks go, in widths, or changed sides."""
+    price = doubt + changes_of_sides(seen, tries)
     for each, ahead in zip(tries, seen.ahead, strict=True):
         if each is not None and ahead is not None and each.is_found and each.found.nodes is not None:
             step = in_image(each.found.nodes, seen.scene) - ahead

@@ -16,6 +16,7 @@ from shape_obs.geometry.curve import NO_VALUES
 from shape_obs.geometry.polyline import interpolate
 from shape_obs.geometry.rotation import fit
 from shape_obs.slots.attempts import Attempt, Seen, in_image
+from shape_obs.tracking.exchanges import TOUCH
 from shape_obs.tracking.predict import Track
 from shape_obs.tracking.scene_doubt import nearest_distances
 from shape_obs.tracking.state import State
@@ -24,18 +25,15 @@ Array = npt.NDArray[np.float64]
 Pair = tuple[int, int]  # of slots
 
 _WINDOW: Final = 6  # frames: ropes keep their bends for so long, and hardly take longer to part again
-# Ropes touch, or lie over each other, where so large a share of one's nodes is less than so many widths from the other.
-_SHARE: Final = 0.3
-_TOUCH: Final = 1.2
-_OVER: Final = 0.6
-_BENDS: Final = 0.1  # RMS change of heading within the window, in radians, that noise and motion explain
-# Standard deviations by which noise makes a length too long, and beyond that, how many count at most.
-_NOISE: Final = 3.0
-_LONGEST: Final = 5.0
-_STRANGE: Final = 4.0  # squared standard deviations by which ropes have to differ from what they were
-_REMAINS: Final = 0.6  # the share of them that may remain after an exchange
+_SHARE: Final = 0.3  # of a rope's nodes that are near another rope if the two touch or lie over each other
+_OVER: Final = 0.6  # widths between the middles of ropes that lie over each other
+_BENDS: Final = 0.1  # rad, RMS: change of heading within the window that noise and motion explain
+_NOISE: Final = 3.0  # standard deviations by which noise makes a length too long
+_LONGEST: Final = 5.0  # standard deviations beyond that count at most: one wrong length decides nothing
+_STRANGE: Final = 4.0  # squared standard deviations by which ropes have to differ from what they were: two sigma
+_REMAINS: Final = 0.6  # share of them that may remain after an exchange
 _CLEAR: Final = 5.0  # squares of a width: no more may speak against the fits after an exchange
-_AGAIN: Final = 1.1  # an exchange that was refused is tried again if ropes differ by so much more
+_AGAIN: Final = 1.1  # times that ropes differ more, before an exchange that was refused is tried again
 
 
 class Lying(NamedTuple):
@@ -74,8 +72,8 @@ class Passages:
         self._past.append(ropes)
         for pair in combinations(range(len(ropes)), 2):
             one, other = (ropes[k] for k in pair)
-            apart = math.inf if one is None or other is None else _apart(one.pixels, other.pixels, _TOUCH * width)
-            for recent, near in ((self._touched, _TOUCH), (self._lay_over, _OVER)):
+            apart = math.inf if one is None or other is None else _apart(one.pixels, other.pixels, TOUCH * width)
+            for recent, near in ((self._touched, TOUCH), (self._lay_over, _OVER)):
                 if apart < near * width:
                     recent[pair] = _WINDOW
                 elif recent.get(pair):

@@ -18,6 +18,7 @@ from shape_obs.image.pieces import component_parts, split_components
 from shape_obs.image.region import Region
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.image.sharing import EXPECTED, FOUND, MOST, TRACED, WIDE, Reach, owned_runs, part_of, share, share_pixels
+from shape_obs.initialization.gaps import sharp_turns
 from shape_obs.initialization.likeness import middle_width
 from shape_obs.shape import Shape
 from shape_obs.slots.attempts import (
@@ -35,17 +36,17 @@ from shape_obs.tracker import Tracker
 from shape_obs.tracking.exchanges import meetings
 from shape_obs.tracking.predict import Fit, length_in_image
 from shape_obs.tracking.scene import Scene
-from shape_obs.tracking.scene_doubt import bending_energy, nearest_distances, sharp_turns, side_distances
+from shape_obs.tracking.scene_doubt import NEXT_TO, bending_energy, nearest_distances, side_distances
 from shape_obs.tracking.seats import add_pieces, near_tracks, seat_others, seat_tracked
 from shape_obs.tracking.state import LENGTH
 
 Array = npt.NDArray[np.float64]
 
 _PIECE: Final = 1.5  # widths: a piece of a rope that something cuts lies no farther from where the rope is expected
-_KEPT: Final = 4.0  # widths: what lies on average so near to where a rope is expected is no new one
 _FAR: Final = 0.1  # of the diagonal, in an interval: an object that is found farther from a track is another one
 _LAPSE: Final = 5.0  # intervals without an object after which it is expected no farther away
-_PATIENCE: Final = 10  # frames between two searches for objects that do not come
+_PATIENCE: Final = 10  # frames between two searches for objects that do not come: these take longer than a frame
+
 #: The compiled functions that slots may call.
 SLOT_FUNCTIONS: Final = (
     share_pixels, split_components, owned_runs, draw_components, nearest_distances, bending_energy, sharp_turns,
@@ -195,14 +196,14 @@ class Slots:
         far = _FAR * math.hypot(*seen.scene.size)
         # What was lost for long may be anywhere, but so may be what has come instead.
         reach = [
-            0.0 if each is None else _KEPT * width if each.stale else far * min(each.lapse, _LAPSE)
+            0.0 if each is None else NEXT_TO * width if each.stale else far * min(each.lapse, _LAPSE)
             for each in seen.expected
         ]
         lengths = [length_in_image(track) or math.inf for track in seen.tracks]
         seats = seat_tracked(objects, seen.ahead, reach, lengths)
         free = [k for k, each in enumerate(seen.expected) if each is None or each.stale]
         targets = [tracker.target(seen.scene) for tracker in self.trackers]
-        kept = near_tracks(objects, seen.ahead, _KEPT * width) if objects else ()
+        kept = near_tracks(objects, seen.ahead, NEXT_TO * width) if objects else ()
         seats = seat_others(
             objects, seats, targets, sorted(free, key=lambda k: self.trackers[k].track is not None), kept
         )

@@ -9,16 +9,13 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.initialization.gaps import Lead, bending, lead
+from shape_obs.initialization.gaps import CHORD, NOISE, Lead, bending, lead
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-# In widths: ropes touch where their middles are nearer; over how much of a rope its direction is taken next to there.
-_TOUCH: Final = 1.2
-_REACH: Final = 2.0
-_NOISE: Final = 0.1  # rad^2 that ropes that have not exchanged their ends may seem to gain
-_BLOCK: Final = 16  # points of a curve with a common bounding box
+TOUCH: Final = 1.2  # widths: ropes touch where their middles are nearer; side by side they are 1, and noise adds 0.2
+_BLOCK: Final = 16  # points of a curve with a common bounding box, which saves most distances
 
 
 def exchange_gain(first: FittedCurve, second: FittedCurve, width: float) -> float:
@@ -32,7 +29,7 @@ def exchange_gain(first: FittedCurve, second: FittedCurve, width: float) -> floa
         width: Of both, pixels.
     """
     gain = 0.0
-    met = meetings(np.ascontiguousarray(first.points), np.ascontiguousarray(second.points), _TOUCH * width)
+    met = meetings(np.ascontiguousarray(first.points), np.ascontiguousarray(second.points), TOUCH * width)
     for start, last, low, high in met.tolist():
         leads = [
             _lead(curve, index, step, width)
@@ -40,7 +37,7 @@ def exchange_gain(first: FittedCurve, second: FittedCurve, width: float) -> floa
         ]
         if None not in leads:
             gain = max(gain, _gain([each for each in leads if each is not None]))
-    return max(gain - _NOISE, 0.0)
+    return max(gain - NOISE, 0.0)
 
 
 @compiled("(f8[:,::1], f8[:,::1], f8)")
@@ -87,7 +84,7 @@ def _lead(curve: FittedCurve, index: int, step: int, width: float) -> Lead | Non
     """Return how a rope leaves one of its points; None where it ends too soon to see."""
     piece = curve.points[index::step] if step > 0 else curve.points[index::-1]
     along = curve.arc[-1] - curve.arc[index] if step > 0 else curve.arc[index]
-    return lead(piece, _REACH * width) if along >= _REACH * width else None
+    return lead(piece, width) if along >= CHORD * width else None
 
 
 def _gain(leads: list[Lead]) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -13,30 +12,18 @@ from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.observed import Observed
 from shape_obs.image.region import Region
+from shape_obs.initialization.gaps import sharp_turns
 
 Array = npt.NDArray[np.float64]
 
-# A rope bends less than this between two chords of so many widths: in a circle of two widths they turn by 43 degrees.
-_CHORD: Final = 1.5
-_SHARP: Final = math.radians(75)
-# Ropes run along each other where they are nearer than so many widths, at so many nodes; they lie side by side, and not
-# over each other, where their middles are more than the last figure apart.
-_NEXT_TO: Final = 4.0
-_LEAST: Final = 3
-_MOST_OF: Final = 0.6
-_BESIDE: Final = 0.8
-_TREMOR: Final = 0.1  # of the bending energy times the width, from frame to frame, where strands cross
-# Points of a rope are taken over where they lie so many widths nearer to another one than to where it is expected; the
-# share of them, at most, if the other one is lost, and if it is found as well.
-_OTHERS: Final = 1.0
-_TAKEN: Final = 0.15
-_COVERED: Final = 0.5
-# A rope of which more than this share is hidden is another one's if so many of its points lie nearer to that one than
-# so many widths.
-_HIDDEN: Final = 0.03
-_CLAIMED: Final = 0.7
-_SAME: Final = 0.5
-_TURN: Final = 3.0  # squares of a width that a sharp turn counts as
+TURN: Final = 3.0  # squares of a width of rope not seen that a sharp turn, or a bend of 1 rad^2, counts as
+NEXT_TO: Final = 4.0  # widths: nearer to each other, ropes run along each other and may be taken for one another
+_LEAST: Final = 3  # nodes next to another rope: fewer do not show on which side it lies
+_BESIDE: Final = 0.8  # widths between the middles: ropes that touch have 1, ropes that lie over each other less
+_TREMOR: Final = 0.1  # rad^2, see ``more_bent``: what noise adds from frame to frame where strands cross
+_TAKEN: Final = 0.15  # share of a rope's points that lie where a lost rope is expected: more belong to that one
+_MOST: Final = 0.6  # share of a rope's points: so many show that it lies where another rope is
+_HIDDEN: Final = 0.03  # share of a rope that is not seen, at least, if it may be another one's; noise hides less
 
 
 def doubtful_area(curve: FittedCurve, width: float) -> float:
@@ -46,13 +33,13 @@ def doubtful_area(curve: FittedCurve, width: float) -> float:
         curve: In pixels.
         width: Of the rope, pixels.
     """
-    turns = doubtful_turns(curve, width) * _TURN * width
+    turns = doubtful_turns(curve, width) * TURN * width
     return (curve.unsupported_fraction * curve.size + turns) * width
 
 
 def doubtful_turns(curve: FittedCurve, width: float) -> int:
     """Return how often a rope turns more sharply than ropes do."""
-    return sharp_turns(np.ascontiguousarray(curve.points), curve.arc, _CHORD * width, _SHARP)
+    return sharp_turns(np.ascontiguousarray(curve.points), width)
 
 
 def doubt_where_they_meet(
@@ -67,8 +54,8 @@ def doubt_where_they_meet(
         found: ``(J, 2)`` each, the curves of the others.
         width: Of the rope, pixels.
     """
-    seen, margin = np.ascontiguousarray(form.points[~form.interpolated][::4]), _OTHERS * width  # a width apart
-    if taken_over(seen, own, lost, margin) > _TAKEN or taken_over(seen, own, found, margin) > _COVERED:
+    seen = np.ascontiguousarray(form.points[~form.interpolated][::4])  # a width apart
+    if taken_over(seen, own, lost, width) > _TAKEN or taken_over(seen, own, found, width) > _MOST:
         return "what was found lies where another rope was"
     return "what was found turns sharply where ropes meet" if doubtful_turns(form, width) else ""
 
@@ -87,7 +74,7 @@ def claims_the_same(form: FittedCurve, other: FittedCurve, width: float) -> bool
     seen = np.ascontiguousarray(form.points[~form.interpolated][::4])
     if not len(seen):
         return False
-    return bool(np.mean(nearest_distances(seen, np.ascontiguousarray(other.points)) < _SAME * width) > _CLAIMED)
+    return bool(np.mean(nearest_distances(seen, np.ascontiguousarray(other.points)) < width / 2) > _MOST)
 
 
 def folds_anew(curve: FittedCurve, observed: Observed, width: float) -> bool:
@@ -132,34 +119,6 @@ def bending_energy(nodes: Array) -> float:
     return energy
 
 
-@compiled("(f8[:,::1], f8[::1], f8, f8)")
-def sharp_turns(points: Array, arc: Array, reach: float, angle: float) -> int:
-    """Return how often a curve turns by more than an angle between two chords that meet.
-
-    Args:
-        points: ``(P, 2)`` pixels.
-        arc: ``(P,)`` their arc length.
-        reach: Along the curve, of each chord, pixels.
-        angle: Radians.
-    """
-    found, free, before, after, limit = 0, 0.0, 0, 0, np.cos(angle)
-    for p in range(len(points)):
-        if arc[p] < reach or arc[-1] - arc[p] < reach:
-            continue
-        while arc[before + 1] <= arc[p] - reach:
-            before += 1
-        while arc[after] < arc[p] + reach and after < len(points) - 1:
-            after += 1
-        if arc[p] < free:
-            continue
-        du, dv = points[p, 0] - points[before, 0], points[p, 1] - points[before, 1]
-        far_u, far_v = points[after, 0] - points[p, 0], points[after, 1] - points[p, 1]
-        if du * far_u + dv * far_v < limit * np.hypot(du, dv) * np.hypot(far_u, far_v):
-            found += 1
-            free = arc[p] + 2 * reach  # one turn is counted once
-    return found
-
-
 def taken_over(points: Array, own: Array, others: Sequence[Array], margin: float) -> float:
     """Return the share of a rope's points that lie where another rope is expected, and not where it is itself.
 
@@ -202,10 +161,10 @@ def changed_sides(before: Array, other_before: Array, after: Array, other_after:
         width: Of the ropes, pixels.
     """
     was, now = side_distances(before, other_before), side_distances(after, other_after)
-    near = (np.abs(was) < _NEXT_TO * width) & (np.abs(now) < _NEXT_TO * width)
+    near = (np.abs(was) < NEXT_TO * width) & (np.abs(now) < NEXT_TO * width)
     changed = near & (was * now < 0)
     count = np.count_nonzero(near)
-    if count < _LEAST or np.count_nonzero(changed) < _MOST_OF * count:
+    if count < _LEAST or np.count_nonzero(changed) < _MOST * count:
         return False
     return bool(np.median(np.abs(now[changed])) > _BESIDE * width)
 

@@ -9,13 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.geometry.polyline import arc_length, interpolate
-from shape_obs.initialization.objects import SceneObject
+from shape_obs.initialization.objects import COMPARED, SceneObject
 
 Array = npt.NDArray[np.float64]
 
-_COMPARED: Final = 48  # points of a curve
-# What is missing of a track counts less than what an object has more: a part of it may be hidden.
-_MISSING: Final = 0.3
+_MISSING: Final = 0.3  # weight of what an object lacks of a track, over that of what it has more: a part may be hidden
 _LONGER: Final = 1.05  # of the length that is known: more is no noise
 
 
@@ -143,4 +141,4 @@ def _sampled(curve: Array | None) -> Array:
     assert curve is not None
     curve = np.ascontiguousarray(curve)
     arc = arc_length(curve)
-    return interpolate(curve, arc, np.linspace(0.0, arc[-1], _COMPARED))
+    return interpolate(curve, arc, np.linspace(0.0, arc[-1], COMPARED))
