@@ -35,7 +35,7 @@ _TWO: Final = 0.84  # radius over width, above which they lie side by side: ther
 _NECK: Final = 0.42  # radius over width: thinner than one strand is a neck, where two touch in a few pixels
 _OVERLAPPING: Final = 0.9  # of the radii of two nodes: a shorter branch lies between strands, not along one
 _BLOB: Final = 4.0  # widths: a shorter branch thicker than a strand lies where three or more cross in nearly one place
-_JITTER: Final = 0.2  # widths within which the largest radius counts: a skeleton is a pixel off the axis
+_JITTER: Final = 0.2  # widths within which the largest radius counts: a skeleton is a pixel off the axis at places
 
 
 class Zones(NamedTuple):
@@ -200,7 +200,7 @@ def follow(branch: Branch, starts: list[Arm], ends: list[Arm], leads: dict[Arm, 
 
 
 def is_bent(overlap: Overlap, leads: dict[Arm, Lead]) -> bool:
-    """Return whether two strands would bend less the other way than along a shared branch."""
+    """Return whether two strands would bend less if each went on the other way than along a branch that they share."""
     (a, b), (c, d) = overlap.pairs
     bends = [sum(bending(leads[p], leads[q]) for p, q in ((a, x), (c, y))) for x, y in ((b, d), (d, b))]
     return bends[0] - bends[1] > NOISE

@@ -22,11 +22,11 @@ from shape_obs.initialization.thinning import thin_pixels
 
 Array = npt.NDArray[np.float64]
 
-_SPACING: Final = 0.4  # widths from point to point of a traced curve
+_SPACING: Final = 0.4  # widths from point to point of a traced curve: less than a ribbon's radius, see ``share_pixels``
 _RAGGED: Final = 0.03  # share of a ribbon's outline that may lie over a width from its axis; square ends have 0.7
 _UNEXPLAINED: Final = 0.1  # share of all strands that is left out as noise, of those that end on another one
 _BUMP: Final = 0.65  # widths that a bump sticks out of one of several ropes, where a longer one is an end of another
-_TURNS_BACK: Final = 1.8  # rad^2, see ``bending``: an arc of 155 degrees
+_TURNS_BACK: Final = 1.8  # rad^2, see ``bending``: an arc of 155 degrees, which rather shows two ropes
 
 #: The compiled functions that finding an axis in a mask may call.
 AXIS_FUNCTIONS: Final = (

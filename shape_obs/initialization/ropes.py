@@ -21,8 +21,7 @@ from shape_obs.initialization.strand_doubts import reach_beyond
 Array = npt.NDArray[np.float64]
 End = tuple[int, int]  # a strand, and which of its ends
 
-
-_ACROSS: Final = 0.15  # rad^2 that a rope bends at most between another rope and a gap next to it
+_ACROSS: Final = 0.15  # rad^2 that a rope bends at most from another one on over a gap; real cables bend a little
 _STUB: Final = 4.0  # widths: what is shorter and ends on another rope is a knob of that one, or noise
 
 

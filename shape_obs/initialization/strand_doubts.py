@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 Ends = tuple[bool, bool]
 Row = Sequence[tuple[float, Any]]  # what each way to pair the strands of a zone bends, and the pairs; least first
 
-_WIDE: Final = 3.0  # times as wide as a strand is no place where it lies next to others
+_WIDE: Final = 3.0  # times a strand's median width: places where ropes meet are narrower, other things may be wider
 _SLANT: Final = 1.2  # times half a rope's width over the sine of the angle: how far its border may be, straight on
 _STICKS_OUT: Final = 0.3  # widths that a mask reaches beyond a rope's border if something sticks out, not noise
 _LEAST_SINE: Final = 0.35  # of the angle of two ropes, 20 degrees: at a smaller one the border is too far away to see

@@ -31,7 +31,7 @@ _BENDS: Final = 0.1  # rad, RMS: change of heading within the window that noise 
 _NOISE: Final = 3.0  # standard deviations by which noise makes a length too long
 _LONGEST: Final = 5.0  # standard deviations beyond that count at most: one wrong length decides nothing
 _STRANGE: Final = 4.0  # squared standard deviations by which ropes have to differ from what they were: two sigma
-_REMAINS: Final = 0.6  # share of them that may remain after an exchange
+_REMAINS: Final = 0.6  # share of that difference that may remain after an exchange
 _CLEAR: Final = 5.0  # squares of a width: no more may speak against the fits after an exchange
 _AGAIN: Final = 1.1  # times that ropes differ more, before an exchange that was refused is tried again
 
