@@ -229,7 +229,8 @@ def covariance_of(before: Array, after: Array, weight: npt.NDArray[Any]) -> tupl
         ``(D, D)``, row a for coordinate a of the points before; ``(D,)``; ``(D,)``.
     """
     count, size = before.shape
-    covariance, first, second, whole = np.zeros((size, size)), np.zeros(size), np.zeros(size), weight.sum()
+    covariance, first, second = np.zeros((size, size)), np.zeros(size), np.zeros(size)
+    whole = max(1.0 * weight.sum(), 1e-18)
     for n in range(count):
         share = weight[n] / whole
         for a in range(size if share > 0 else 0):  # what does not count need not be a number

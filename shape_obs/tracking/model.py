@@ -124,7 +124,6 @@ class ChainModel(MotionModel):
     trust: float = 5.0  # squared standard deviations, beyond which costs grow slowly: predictions may be far off
     cost_of_hiding: tuple[float, float, float] = (4.0, 1.0, 16.0)  # squared s.d.: an unknown, hidden, free end
     hiding_rate: tuple[float, float, float] = (1.5, 3.0, 1.5)  # of the length in a second, of the same ends
-    cost_of_folding: float = 100.0  # squared standard deviations, of a free end while something hides the other
     bridge: float = 0.35  # of a bridged gap: the standard deviation of its length
     too_short: float = 3.0  # standard deviations by which a length may be short, though an end is hidden
     first_speed: float = 30.0  # resolutions in a second: by so much predictions are off before any was tested
@@ -134,7 +133,6 @@ class ChainModel(MotionModel):
     # Learn.
     first_spread: _Pair = (0.003, 0.006)  # of a length in pixels and in metres, before any was measured
     length_spread: _Pair = (0.001, 0.012)  # of the length: its spread at least, and in metres at most
-    followed_spread: float = 0.04  # of a length in pixels: if it varies so much, by perspective, it is followed at once
     memory: float = 0.65  # s: how fast length, its spread and the look of tips are learnt
     length_rate: float = 0.03  # of the length in a second, by which it follows what noise does not explain
     shorter: _Pair = (1.5, 2.0)  # standard deviations by which a length is learnt to be shorter

@@ -116,12 +116,12 @@ def place(
         for second in range(steps + 1 - first):
             if bent[first, second] == np.inf:
                 continue
-            cost, dearer = _cost(
+            cost, impossible = _cost(
                 first * piece, second * piece, missing, length, loose, ends, cut, before, change, model
             )
             cost += _surprise(bent[first, second] - nearest[0], apart[first, second] - nearest[1], usual, model)
-            if cost + dearer < best:
-                best, a, b = cost + dearer, first, second
+            if cost + impossible < best:
+                best, a, b = cost, first, second
             if cost < likeliest:
                 likeliest, other_a, other_b = cost, first, second
     head, tail, off = a * piece, b * piece, (bent[a, b], apart[a, b])
@@ -137,8 +137,8 @@ def place(
                 if bridge > 0:
                     found = _probes(points, stations, gap, missing - first - second)
                 now = disagreement(rope, share, found, first / length, second / length)
-                cost, dearer = _cost(first, second, missing, length, loose, ends, cut, before, change, model)
-                cost += dearer + _surprise(now[0] - nearest[0], now[1] - nearest[1], usual, model)
+                cost, impossible = _cost(first, second, missing, length, loose, ends, cut, before, change, model)
+                cost += impossible + _surprise(now[0] - nearest[0], now[1] - nearest[1], usual, model)
                 if cost < best:
                     best, head, tail, off = cost, first, second, now
     elsewhere = max(abs(a - other_a), abs(b - other_b)) * piece / length
@@ -173,11 +173,11 @@ def _cost(
     likely: Array,
     model: Any,
 ) -> tuple[float, float]:
-    """Return what it costs to take lengths at both ends for hidden, and how much more if one end is free.
+    """Return what it costs to take lengths at both ends for hidden, and infinity if one that is free would be, else 0.
 
-    What is hidden changes little from frame to frame; a free end is hidden in no frame for longer.
+    What is hidden changes little from frame to frame; a free end is not hidden while something hides the other.
     """
-    cost, dearer = ((missing - head - tail) / loose) ** 2, 0.0
+    cost, impossible = ((missing - head - tail) / loose) ** 2, 0.0
     if head > 0 and tail > 0 and HIDDEN not in ends:  # one end explains what is missing, though none looks cut
         cost += 2 * max(-max(cut), 0.0)
     for end in range(2):
@@ -190,12 +190,12 @@ def _cost(
             cost += price
             if known == FREE and HIDDEN in ends:  # a hairpin closes in the image from one frame to the next
                 likelier = 2 * max(cut[end] - cut[1 - end], 0.0)
-                cost, dearer = cost - likelier, dearer + likelier + model.cost_of_folding - price
+                cost, impossible = cost - likelier, np.inf
                 change = 0.0
         elif HIDDEN not in ends:
             cost += 2 * max(cut[end], 0.0)
         cost += change
-    return cost, dearer
+    return cost, impossible
 
 
 @compiled

@@ -37,7 +37,7 @@ def learn_length(
     change, gain = size / rope.pixels - 1, gain_of(seconds, model.memory)
     # What looks shorter may be hidden in part: only what comes back to its length was seen at an angle, or in noise.
     rope.pixels_spread = _varied(rope.pixels_spread, max(change, -model.shorter[0] * rope.pixels_spread), gain, model)
-    rope.pixels *= 1 + min(max((rope.pixels_spread / model.followed_spread) ** 2, gain), 1.0) * change
+    rope.pixels *= 1 + gain * change
     rope.frames, rope.short = rope.frames + 1, 0.0
     if metres == 0 or rope.metres == 0:
         rope.metres = metres if metres > 0 else rope.metres
