@@ -20,9 +20,9 @@ from shape_obs.geometry.polyline import arc_length, catmull_rom, interpolate
 from shape_obs.geometry.topology import Chain, shrinkage, undo_shrinkage
 from shape_obs.image.over_under import upper_strands
 from shape_obs.image.region import Region
+from shape_obs.initialization.appearance import Picture
 from shape_obs.initialization.connectors import without_connectors
 from shape_obs.initialization.folding import sharp_bends
-from shape_obs.initialization.likeness import Picture
 from shape_obs.initialization.medial_axis import AXIS_FUNCTIONS, medial_axis
 from shape_obs.initialization.objects import SceneObject
 from shape_obs.initialization.ropes import find_ropes

@@ -19,7 +19,7 @@ from shape_obs.geometry.polyline import arc_length, closed, even_points
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-RIM: Final = 400  # points around a sheet's outline
+AROUND: Final = 400  # points around a sheet's outline
 TURN_REACH: Final = 16  # points on either side: the scale at which a turn is a corner, 4 % of the perimeter
 FINE: Final = 25  # rows and columns of a patch: between them it is taken to be bilinear, 0.1 px off
 # The smoothing of the outline has rounded its corners: so many of the outline's own steps to either side are left
@@ -35,7 +35,7 @@ _BORDER: Final = np.concatenate([_INDEX[0, :-1], _INDEX[:-1, -1], _INDEX[-1, :0:
 _PARALLEL: Final = 0.1  # squared sine of the angle between two sides that meet in no corner
 
 
-class Rim(NamedTuple):
+class SheetOutline(NamedTuple):
     """The closed outline of a sheet, 400 points evenly spaced, clockwise as seen.
 
     Args:
@@ -54,26 +54,26 @@ class Rim(NamedTuple):
 
 
 @compiled
-def coons_patch(rim: Any, space: Array, corners: Indices) -> tuple[Array, float]:
-    """Return the Coons patch between four corners of a rim, and how much the rim turns between them.
+def coons_patch(outline: Any, space: Array, corners: Indices) -> tuple[Array, float]:
+    """Return the Coons patch between four corners of an outline, and how much the outline turns between them.
 
     Args:
-        rim: A ``Rim``.
+        outline: A ``SheetOutline``.
         space: ``(400, D)`` its points where the patch lies: in metres, or as they are.
         corners: ``(4,)`` points, clockwise.
 
     Returns:
         ``(625, D)`` a lattice of 25 rows and columns, the first along the side from the first corner to the second; and
-        by how many degrees the rim turns at most, either way, away from the corners.
+        by how many degrees the outline turns at most, either way, away from the corners.
     """
-    places = _corner_places(space, corners, rim.step, rim.grain)
-    skip = max(round(_ROUNDED / 2 * rim.grain / rim.step), 1)
+    places = _corner_places(space, corners, outline.step, outline.grain)
+    skip = max(round(_ROUNDED / 2 * outline.grain / outline.step), 1)
     sides, kink = np.empty((4, FINE, space.shape[1])), 0.0
     for k in range(4):
         begin, end = corners[k], corners[(k + 1) % 4]
         _side(space, begin, end, skip, places, k, sides[k])
-        for i in range(TURN_REACH + 1, (end - begin) % RIM - TURN_REACH):
-            kink = max(kink, abs(rim.turn[(begin + i) % RIM]))
+        for i in range(TURN_REACH + 1, (end - begin) % AROUND - TURN_REACH):
+            kink = max(kink, abs(outline.turn[(begin + i) % AROUND]))
     return blend_sides(sides), math.degrees(kink)
 
 
@@ -98,23 +98,23 @@ def blend_sides(sides: Array) -> Array:
 
 
 @compiled
-def _corner_places(rim: Array, corners: Indices, step: float, grain: float) -> Array:
+def _corner_places(outline: Array, corners: Indices, step: float, grain: float) -> Array:
     """Return ``(4, D)`` where the lines through both sides meet, as near as the smoothed outline's corners allow.
 
     In space they pass each other, and the corner lies in the middle between them.
     """
     first = max(math.ceil(_ROUNDED * grain / step), 1)
     count = max(_LINE, first)
-    dimension = rim.shape[1]
-    farthest = _OUTSIDE * grain * arc_length(closed(rim))[RIM] / (RIM * step)
+    dimension = outline.shape[1]
+    farthest = _OUTSIDE * grain * arc_length(closed(outline))[AROUND] / (AROUND * step)
     out = np.empty((4, dimension))
     for k in range(4):
         corner = corners[k]
-        back, back_way = _line(rim, corner, first, count, -1)
-        ahead, ahead_way = _line(rim, corner, first, count, 1)
+        back, back_way = _line(outline, corner, first, count, -1)
+        ahead, ahead_way = _line(outline, corner, first, count, 1)
         cosine = along_back = along_ahead = square = 0.0
         for d in range(dimension):
-            out[k, d] = rim[corner, d]
+            out[k, d] = outline[corner, d]
             cosine += back_way[d] * ahead_way[d]
             along_back += (ahead[d] - back[d]) * back_way[d]
             along_ahead += (ahead[d] - back[d]) * ahead_way[d]
@@ -123,7 +123,7 @@ def _corner_places(rim: Array, corners: Indices, step: float, grain: float) -> A
             continue
         s, t = (along_back - cosine * along_ahead) / sine, (cosine * along_back - along_ahead) / sine
         for d in range(dimension):
-            back[d] = (back[d] + s * back_way[d] + ahead[d] + t * ahead_way[d]) / 2 - rim[corner, d]
+            back[d] = (back[d] + s * back_way[d] + ahead[d] + t * ahead_way[d]) / 2 - outline[corner, d]
             square += back[d] * back[d]
         far = max(math.sqrt(square) / farthest, 1.0)
         for d in range(dimension):
@@ -132,35 +132,35 @@ def _corner_places(rim: Array, corners: Indices, step: float, grain: float) -> A
 
 
 @compiled
-def _line(rim: Array, corner: int, first: int, count: int, way: int) -> tuple[Array, Array]:
+def _line(outline: Array, corner: int, first: int, count: int, way: int) -> tuple[Array, Array]:
     """Return the middle and the direction of ``count`` points, from the one ``first`` points away from a corner on."""
-    middle, slope, square = np.zeros(rim.shape[1]), np.zeros(rim.shape[1]), 0.0
+    middle, slope, square = np.zeros(outline.shape[1]), np.zeros(outline.shape[1]), 0.0
     for i in range(count):
-        p = (corner + way * (first + i)) % RIM
+        p = (corner + way * (first + i)) % AROUND
         at = i - (count - 1) / 2
-        for d in range(rim.shape[1]):
-            middle[d] += rim[p, d] / count
-            slope[d] += at * rim[p, d]
-    for d in range(rim.shape[1]):
+        for d in range(outline.shape[1]):
+            middle[d] += outline[p, d] / count
+            slope[d] += at * outline[p, d]
+    for d in range(outline.shape[1]):
         square += slope[d] * slope[d]
     reach = max(math.sqrt(square), 1e-12)
-    for d in range(rim.shape[1]):
+    for d in range(outline.shape[1]):
         slope[d] /= reach
     return middle, slope
 
 
 @compiled
-def _side(rim: Array, begin: int, end: int, skip: int, places: Array, k: int, out: Array) -> None:
+def _side(outline: Array, begin: int, end: int, skip: int, places: Array, k: int, out: Array) -> None:
     """Fill ``(S, D)`` places evenly spaced along the side from a corner to the next, both corners included."""
-    inner = max((end - begin) % RIM - 2 * skip + 1, 0)
-    dimension = rim.shape[1]
+    inner = max((end - begin) % AROUND - 2 * skip + 1, 0)
+    dimension = outline.shape[1]
     line = np.empty((inner + 2, dimension))
     for d in range(dimension):
         line[0, d], line[inner + 1, d] = places[k, d], places[(k + 1) % 4, d]
     for i in range(inner):
-        p = (begin + skip + i) % RIM
+        p = (begin + skip + i) % AROUND
         for d in range(dimension):
-            line[i + 1, d] = rim[p, d]
+            line[i + 1, d] = outline[p, d]
     even = even_points(line, arc_length(line), len(out), False)
     for i in range(len(out)):
         for d in range(dimension):

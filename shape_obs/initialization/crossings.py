@@ -12,9 +12,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.initialization.appearance import Look, Picture, are_unlike, looks_of_arms
 from shape_obs.initialization.gaps import MOST_ORDERED, Lead, bending, lead
 from shape_obs.initialization.junctions import Arm, Overlap, Zones, find_zones, follow, is_bent, merge_nodes
-from shape_obs.initialization.likeness import Look, Picture, are_unlike, looks_of_arms
 from shape_obs.initialization.skeleton import Branch, Skeleton, middle_value
 from shape_obs.initialization.strand_curves import Strand, clear_part, smooth_branch, strand_curve
 from shape_obs.initialization.strand_doubts import margin_of, strand_doubts, zone_doubts

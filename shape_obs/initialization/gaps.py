@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 CHORD: Final = 1.5  # widths of rope over which a direction is taken: less follows the pixels, more cuts the bends
 NOISE: Final = 0.08  # rad^2, see ``bending``: what noise makes two strands bend, or one way to go on more than another
 CLEAR: Final = 0.35  # rad^2: a rope bends less over a gap; what meets another rope at 70 degrees bends 0.37 more
-RIVAL: Final = 1.15  # times: another way to join that is dearer by less is about as likely
+DEARER: Final = 1.15  # times: another way to join that is dearer by less is about as likely
 MOST_ORDERED: Final = 8  # pieces or strands of which all orders or pairs are tried: the work doubles with each more
 _SHARP: Final = math.radians(75)  # between two chords; in a circle two widths in diameter they turn by 43 degrees
 _RAGGED: Final = 0.7  # widths of a piece cut off at a gap: at a slanting cut an axis runs into the sharper corner
@@ -31,14 +31,14 @@ class Bridged(NamedTuple):
     Args:
         curve: ``(P, 2)`` pixels.
         bridged: ``(P,)`` bool, the points in the gaps.
-        rival: Price of the best way to join the pieces that differs in a gap, over the price of this one; inf if there
-            is no other.
+        next_best: Price of the best way to join the pieces that differs in a gap, over the price of this one; inf if
+            there is no other.
         bent: What a bridge over a wide gap bends at most, see ``bending``; 0 if no gap is wide.
     """
 
     curve: Array
     bridged: npt.NDArray[np.bool_]
-    rival: float
+    next_best: float
     bent: float = 0.0
 
 
@@ -56,12 +56,12 @@ def bridge(pieces: list[Array], width: float) -> Bridged:
     price = _prices([_cut(piece, width) for piece in pieces], width)
     few = len(pieces) <= MOST_ORDERED
     total, order = cheapest_order(price) if few else _greedy(price)
-    rival = np.inf
+    next_best = np.inf
     if few:
         for out, into in zip(order[1:-1:2], order[2::2], strict=True):
             without = price.copy()
             without[out, into] = without[into, out] = np.inf
-            rival = min(rival, cheapest_order(without)[0])
+            next_best = min(next_best, cheapest_order(without)[0])
     run: list[Array] = []
     bent = 0.0
     for place, entry in enumerate(order[::2]):
@@ -74,7 +74,7 @@ def bridge(pieces: list[Array], width: float) -> Bridged:
             run.append(hermite(run[-1][-1], -before.heading, piece[0], after.heading, width / 4))
         run.append(piece)
     is_gap = [np.full(len(part), i % 2 == 1) for i, part in enumerate(run)]
-    return Bridged(np.concatenate(run), np.concatenate(is_gap), rival / max(total, 1e-9), bent)
+    return Bridged(np.concatenate(run), np.concatenate(is_gap), next_best / max(total, 1e-9), bent)
 
 
 def _cut(piece: Array, width: float, *, start: bool = True, end: bool = True) -> Array:

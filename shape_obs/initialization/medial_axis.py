@@ -12,10 +12,10 @@ from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.image.outline_tracing import SPECK, fill_holes
 from shape_obs.image.region import Component, Region
+from shape_obs.initialization.appearance import Picture
 from shape_obs.initialization.crossings import untangle
 from shape_obs.initialization.folding import AXIS_POINTS, closest_sides, fold_outline, unexplained_share
-from shape_obs.initialization.gaps import RIVAL, bridge, cheapest_order, first_chord, hermite
-from shape_obs.initialization.likeness import Picture
+from shape_obs.initialization.gaps import DEARER, bridge, cheapest_order, first_chord, hermite
 from shape_obs.initialization.skeleton import MOST_OF_NOISE, middle_value, skeleton_graph, trace_skeleton
 from shape_obs.initialization.strand_curves import Strand, joint, middle_part, smooth_curve
 from shape_obs.initialization.thinning import thin_pixels
@@ -91,7 +91,7 @@ def _axis_of_mask(region: Region) -> FittedCurve:
         return _axis(kept[0].curve, doubt="; ".join(dict.fromkeys(doubts)))
     width = max(strand.width for strand in kept)
     joined = bridge([strand.curve for strand in kept], width)
-    if joined.rival < RIVAL:
+    if joined.next_best < DEARER:
         doubts.append("the pieces could be joined in another order about as well")
     if region.pieces > 1 and joined.bent > _TURNS_BACK:
         doubts.append("it would have to turn back where it is hidden: these may be two ropes, which count=2 finds")

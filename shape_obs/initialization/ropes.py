@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.image.region import Region
-from shape_obs.initialization.gaps import CLEAR, NOISE, RIVAL, STIFFNESS, Lead, bending, bridge, lead
-from shape_obs.initialization.likeness import Picture, are_unlike, look_of_end
+from shape_obs.initialization.appearance import Picture, are_unlike, look_of_end
+from shape_obs.initialization.gaps import CLEAR, DEARER, NOISE, STIFFNESS, Lead, bending, bridge, lead
 from shape_obs.initialization.medial_axis import even, find_strands
 from shape_obs.initialization.objects import SHORTEST_ROPE, SceneObject
 from shape_obs.initialization.pinholes import without_pinholes
@@ -76,7 +76,7 @@ def _joined(strands: list[Strand], region: Region, picture: Picture | None, wide
     of = {i: i for i in chains}
     for (a, b), cost in sorted(price.items(), key=lambda item: item[1]):
         rivals = [other for pair, other in price.items() if pair != (a, b) and {a, b} & set(pair)]
-        if min(rivals, default=np.inf) < RIVAL * cost or of[a[0]] == of[b[0]]:
+        if min(rivals, default=np.inf) < DEARER * cost or of[a[0]] == of[b[0]]:
             continue
         first, second = chains.pop(of[a[0]]), chains.pop(of[b[0]])
         first = first if _last(first) == a else _turned(first)

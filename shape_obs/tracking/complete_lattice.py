@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.frame import DepthImages
-from shape_obs.geometry.coons import FINE, RIM, SIDE, TURN_REACH
+from shape_obs.geometry.coons import AROUND, FINE, SIDE, TURN_REACH
 from shape_obs.geometry.polyline import arc_length, closed, interpolate
 from shape_obs.geometry.rotation import moved_onto
 from shape_obs.image.connected_runs import nearest_pixel
@@ -38,7 +38,7 @@ _WINDOWS: Final = 96  # places along an outline at which depth is read, at least
 
 @compiled
 def complete_border(
-    expected: Array, known: Array, rim: Array, space: Array, corners: Indices, cut: Mask, kinks: Array,
+    expected: Array, known: Array, outline: Array, space: Array, corners: Indices, cut: Mask, kinks: Array,
     sides: Array, tolerance: Array, model: Any,
 ) -> tuple[Array, Mask, Indices]:  # fmt: skip
     """Return the whole border of a sheet of which a part is seen.
@@ -46,9 +46,9 @@ def complete_border(
     Args:
         expected: ``(96, 2)`` pixels, the border where it is predicted, 24 points to a side.
         known: ``(96, D)`` the border as it was, wherever it lay.
-        rim: ``(400, 2)`` pixels, the outline.
+        outline: ``(400, 2)`` pixels, the outline.
         space: ``(400, D)`` the same, in metres where it is known.
-        corners: ``(4,)`` points of the rim; -1 for a hidden one, or for all if none can be matched.
+        corners: ``(4,)`` points of the outline; -1 for a hidden one, or for all if none can be matched.
         cut: ``(400,)`` whether something lies over what is behind this point.
         kinks: ``(400,)`` radians by which it turns within the sheet.
         sides: ``(4,)`` the known lengths.
@@ -60,7 +60,7 @@ def complete_border(
         and the last point of each piece around a corner that is hidden though nothing lies over it: it is folded.
     """
     trimmed, metric, folded = int(model.trimmed), space.shape[1] == 3, np.empty((4, 2), np.int64)
-    found, seen = _followed(expected if metric else known, rim, space, corners, cut, kinks, sides, tolerance, model)
+    found, seen = _followed(expected if metric else known, outline, space, corners, cut, kinks, sides, tolerance, model)
     if np.count_nonzero(seen) < model.min_seen * len(seen):
         return found[:0], seen, folded[:0]
     pattern = _stretched(known, corners, sides)
@@ -93,24 +93,26 @@ def complete_border(
 
 @compiled
 def _followed(
-    expected: Array, rim: Array, space: Array, corners: Indices, cut: Mask, kinks: Array, sides: Array,
+    expected: Array, outline: Array, space: Array, corners: Indices, cut: Mask, kinks: Array, sides: Array,
     tolerance: Array, model: Any,
 ) -> tuple[Array, Mask]:  # fmt: skip
     """Return where the border is by its length along the outline ``(96, D)``, from each visible corner, and if it is.
 
     See ``complete_border``.
     """
-    metric, around, there, at = space.shape[1] == 3, closed(rim), closed(space), np.empty(FINE)
+    metric, around, there, at = space.shape[1] == 3, closed(outline), closed(space), np.empty(FINE)
     arc, places, visible, covered = arc_length(there), np.zeros_like(expected), np.zeros(4 * SIDE, np.bool_), cut.copy()
-    for q in range(RIM):
+    for q in range(AROUND):
         near = False  # a corner, where the outline turns too
         for k in range(4):
-            near = near or (corners[k] >= 0 and abs((q - corners[k] + RIM // 2) % RIM - RIM // 2) <= TURN_REACH)
+            near = near or (
+                corners[k] >= 0 and abs((q - corners[k] + AROUND // 2) % AROUND - AROUND // 2) <= TURN_REACH
+            )
         covered[q] = cut[q] or (not near and kinks[q] > model.fold_turn)
     for k in range(4):
         if corners[k] >= 0:
             visible[SIDE * k] = True
-            places[SIDE * k, 0], places[SIDE * k, 1] = rim[corners[k], 0], rim[corners[k], 1]
+            places[SIDE * k, 0], places[SIDE * k, 1] = outline[corners[k], 0], outline[corners[k], 1]
     placed = moved_onto(expected, expected, places, visible, True)
     found, seen = np.zeros((4 * SIDE, space.shape[1])), np.zeros(4 * SIDE, np.bool_)
     for number in range(8):
@@ -120,17 +122,17 @@ def _followed(
             continue
         length, start = sides[side], arc[corners[k]]
         if corners[other] >= 0:
-            between = way * (arc[corners[other]] - start) % arc[RIM]
+            between = way * (arc[corners[other]] - start) % arc[AROUND]
             length = between if abs(between - length) < model.own_length * tolerance[side] else length
         for i in range(FINE):
-            at[i] = (start + way * length * i / SIDE) % arc[RIM]
+            at[i] = (start + way * length * i / SIDE) % arc[AROUND]
         pixels, points, stop = interpolate(around, arc, at), interpolate(there, arc, at), FINE
         for i in range(FINE):
             p = (SIDE * k + way * i) % (4 * SIDE)
             u, v = placed[p, 0] - placed[SIDE * k, 0], placed[p, 1] - placed[SIDE * k, 1]
             x, y = pixels[i, 0] - pixels[0, 0] - u, pixels[i, 1] - pixels[0, 1] - v
             most = model.border_noise + model.border_bend[1 if metric else 0] * math.sqrt(u * u + v * v)
-            q = min(max(np.searchsorted(arc, at[i], side="right"), 1), RIM) - 1
+            q = min(max(np.searchsorted(arc, at[i], side="right"), 1), AROUND) - 1
             if math.sqrt(x * x + y * y) > most or covered[q]:
                 stop = max(i - int(model.trimmed), 0)
                 break
@@ -199,9 +201,9 @@ def _is_folded(
         piece[end] = p
     begin, _ = nearest_of(space, range(len(space)), points[piece[0] % len(points)])
     end, _ = nearest_of(space, range(len(space)), points[piece[1] % len(points)])
-    length, inner, covered, bulge = max(_distance(space[begin], space[end]), 1e-9), (end - begin) % RIM, 0, 0.0
+    length, inner, covered, bulge = max(_distance(space[begin], space[end]), 1e-9), (end - begin) % AROUND, 0, 0.0
     for i in range(inner + 1):
-        q, along = (begin + i) % RIM, 0.0
+        q, along = (begin + i) % AROUND, 0.0
         covered += cut[q]
         for d in range(3):
             along += (space[q, d] - space[begin, d]) * (space[end, d] - space[begin, d]) / length
@@ -252,8 +254,8 @@ def hide_folded(folded: Indices, sides: Array, hidden: Mask) -> None:
 
 
 @compiled
-def rim_depth(
-    depth: DepthImages, edge: Edges, mask: npt.NDArray[np.uint8], left: int, top: int, rim: Array, width: float,
+def outline_depth(
+    depth: DepthImages, edge: Edges, mask: npt.NDArray[np.uint8], left: int, top: int, outline: Array, width: float,
     limits: DepthLimits,
 ) -> tuple[Array, Mask]:  # fmt: skip
     """Return the depth along an outline, and where the object may go on beyond it.
@@ -264,7 +266,7 @@ def rim_depth(
         mask: ``(h, w)`` uint8, C-contiguous.
         left: Image column of its first pixel.
         top: Image row of its first pixel.
-        rim: ``(P, 2)`` pixels, clockwise as seen.
+        outline: ``(P, 2)`` pixels, clockwise as seen.
         width: Of the object, pixels: depth is read within a share of it.
         limits: See ``DepthLimits``.
 
@@ -273,12 +275,12 @@ def rim_depth(
         something nearer that lies over the object, or of what is searched.
     """
     nearer, at_edge, share, least, most, min_depth, edge_reach = limits
-    every = max(len(rim) // _WINDOWS, 1)
-    count, reach = -(-len(rim) // every), int(min(max(round(width * share), least), most))
-    z, cut, flags = np.full(len(rim), np.nan), np.zeros(len(rim), np.bool_), np.zeros(count, np.bool_)
+    every = max(len(outline) // _WINDOWS, 1)
+    count, reach = -(-len(outline) // every), int(min(max(round(width * share), least), most))
+    z, cut, flags = np.full(len(outline), np.nan), np.zeros(len(outline), np.bool_), np.zeros(count, np.bool_)
     some, under = np.empty((count, 2)), np.zeros(count)
     for k in range(count):
-        u, v = rim[k * every, 0], rim[k * every, 1]
+        u, v = outline[k * every, 0], outline[k * every, 1]
         inside = edge[0] + at_edge < u < edge[0] + edge[2] - 1 - at_edge
         flags[k] = not (inside and edge[1] + at_edge < v < edge[1] + edge[3] - 1 - at_edge)
         some[k, 0], some[k, 1] = u, v
@@ -291,13 +293,13 @@ def rim_depth(
                 depth, mask, left, top, some[k], before, after, under[k], nearer, int(edge_reach)
             )
             near, far = 1 / under[k], 1 / under[(k + 1) % count]
-            between = min(every, len(rim) - k * every)
+            between = min(every, len(outline) - k * every)
             for i in range(between):
                 z[k * every + i] = 1 / (near + (far - near) * i / between)
     for k in range(count):
         if flags[k] and (flags[k - 1] or flags[(k + 1) % count]):  # a single one is noise
             for i in range(-every // 2, every // 2 + 1):
-                cut[(k * every + i) % len(rim)] = True
+                cut[(k * every + i) % len(outline)] = True
     return z, cut
 
 

@@ -11,11 +11,11 @@ import numpy.typing as npt
 from shape_obs.camera import deprojected
 from shape_obs.compiled import compiled
 from shape_obs.frame import DepthImages
-from shape_obs.geometry.coons import FINE, RIM, TURN_REACH, coons_patch
+from shape_obs.geometry.coons import AROUND, FINE, TURN_REACH, coons_patch
 from shape_obs.geometry.lattice import assess_lattice
 from shape_obs.geometry.polyline import arc_length, closed, even_around
-from shape_obs.initialization.corners import best_corners, nearest_corners, rim_of
-from shape_obs.tracking.complete_lattice import rim_depth
+from shape_obs.initialization.corners import best_corners, nearest_corners, sheet_outline
+from shape_obs.tracking.complete_lattice import outline_depth
 from shape_obs.tracking.model import DepthLimits
 from shape_obs.tracking.register_lattice import match_corners
 
@@ -28,31 +28,31 @@ UNBENT: Final = (90.0, 0.0, 0.0, 0.0)  # what ``assess_lattice`` returns of a re
 
 
 @compiled
-def find_corners(rim: Any, seen: Array, nodes: Array, best: bool) -> Indices:
-    """Return ``(4,)`` the points of a rim that are the corners of a sheet; ``(0,)`` if there are no four in order.
+def find_corners(outline: Any, seen: Array, nodes: Array, best: bool) -> Indices:
+    """Return ``(4,)`` the points of an outline that are the corners of a sheet; ``(0,)`` if there are no four in order.
 
     Args:
-        rim: A ``Rim``.
+        outline: A ``SheetOutline``.
         seen: ``(400, D)`` its points where corners are predicted.
         nodes: ``(625, D)`` predicted; ``(0, D)`` without a track.
         best: Whether the corners are those most like a sheet's, not those nearest to the predicted ones.
     """
     if best:
-        return best_corners(rim)
-    return nearest_corners(seen, rim.candidates, rim.step, corners_of(nodes))
+        return best_corners(outline)
+    return nearest_corners(seen, outline.candidates, outline.step, corners_of(nodes))
 
 
 @compiled
-def numbered_corners(rim: Any, nodes: Array, best: bool) -> tuple[Indices, int, float]:
+def numbered_corners(outline: Any, nodes: Array, best: bool) -> tuple[Indices, int, float]:
     """Return the corners of a sheet in an image as they are predicted, see ``find_corners``, ``(4,)`` or ``(0,)``.
 
     And which of them is farthest from where the others put it, and how far, see ``match_corners``.
     """
-    corners, number, moved, places = find_corners(rim, rim.points, nodes, best), 0, 0.0, np.empty((4, 2))
+    corners, number, moved, places = find_corners(outline, outline.points, nodes, best), 0, 0.0, np.empty((4, 2))
     if len(corners) > 0 and len(nodes) > 0:
         found = corners.copy()
         for k in range(4):
-            places[k, 0], places[k, 1] = rim.points[found[k], 0], rim.points[found[k], 1]
+            places[k, 0], places[k, 1] = outline.points[found[k], 0], outline.points[found[k], 1]
         quarters, number, moved = match_corners(corners_of(nodes), places)
         for k in range(4):
             corners[k] = found[(k + quarters) % 4]
@@ -81,12 +81,12 @@ def patch_in_cloud(
         nodes: As ``find_corners`` takes it, and the next.
         best: See there.
     """
-    rim = rim_of(flat)
-    space = even_around(closed(outline), arc_length(closed(flat)), 0.0, RIM)
-    corners = find_corners(rim, space, nodes, best)
+    unrolled = sheet_outline(flat)
+    space = even_around(closed(outline), arc_length(closed(flat)), 0.0, AROUND)
+    corners = find_corners(unrolled, space, nodes, best)
     if len(corners) == 0:
-        return rim.points[:0], 0.0, UNBENT
-    patch, kink = coons_patch(rim, rim.points, corners)
+        return unrolled.points[:0], 0.0, UNBENT
+    patch, kink = coons_patch(unrolled, unrolled.points, corners)
     return patch, kink, assess_lattice(patch.reshape(FINE, FINE, 2))
 
 
@@ -98,7 +98,7 @@ def match_lattices(nodes: Array, found: Array) -> tuple[int, int, float]:
 
 @compiled
 def turns_within(
-    rim: Array, space: Array, depth: DepthImages, mask: Mask, left: int, top: int, width: float, lens: Array,
+    outline: Array, space: Array, depth: DepthImages, mask: Mask, left: int, top: int, width: float, lens: Array,
     limits: DepthLimits, inner: float,
 ) -> Array:  # fmt: skip
     """Return ``(400,)`` radians by which an outline turns within the sheet, which bending does not change.
@@ -106,29 +106,29 @@ def turns_within(
     A border that bends out of the sheet's plane turns in the image and not within the sheet; the edge of a fold does.
 
     Args:
-        rim: ``(400, 2)`` pixels.
+        outline: ``(400, 2)`` pixels.
         space: ``(400, 3)`` the same in metres.
-        depth: As ``rim_depth`` takes it, and all up to the width.
+        depth: As ``outline_depth`` takes it, and all up to the width.
         mask: Of the sheet.
         left: Image column.
         top: Image row.
         width: Of the sheet, pixels.
         lens: The projection.
-        limits: See ``rim_depth``.
+        limits: See ``outline_depth``.
         inner: The plane of the sheet is measured so many pixels inside.
     """
-    inside, turns = np.empty_like(rim), np.zeros(RIM)
-    for p in range(RIM):
-        back, ahead = (p - TURN_REACH // 2) % RIM, (p + TURN_REACH // 2) % RIM
-        x, y = rim[ahead, 0] - rim[back, 0], rim[ahead, 1] - rim[back, 1]
+    inside, turns = np.empty_like(outline), np.zeros(AROUND)
+    for p in range(AROUND):
+        back, ahead = (p - TURN_REACH // 2) % AROUND, (p + TURN_REACH // 2) % AROUND
+        x, y = outline[ahead, 0] - outline[back, 0], outline[ahead, 1] - outline[back, 1]
         far = inner / max(math.sqrt(x * x + y * y), 1e-9)
-        inside[p, 0], inside[p, 1] = rim[p, 0] - far * y, rim[p, 1] + far * x
+        inside[p, 0], inside[p, 1] = outline[p, 0] - far * y, outline[p, 1] + far * x
     window = left, top, mask.shape[1], mask.shape[0]
-    z, _ = rim_depth(depth, window, mask, left, top, inside, width, limits)
+    z, _ = outline_depth(depth, window, mask, left, top, inside, width, limits)
     there = deprojected(inside, z, lens)
     for p in range(len(there)):
-        before = _away(space[(p - TURN_REACH) % RIM], space[p])
-        after = _away(space[p], space[(p + TURN_REACH) % RIM])
+        before = _away(space[(p - TURN_REACH) % AROUND], space[p])
+        after = _away(space[p], space[(p + TURN_REACH) % AROUND])
         along = before[0] + after[0], before[1] + after[1], before[2] + after[2]
         normal = _cross(along, _away(space[p], there[p]))
         # Within the plane whose normal is n, sine and cosine of a and b are n (a x b) |n| and n^2 (a b) - (n a) (n b).

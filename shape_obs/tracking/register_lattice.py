@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.coons import RIM, SIDE, border_of, side_lengths
+from shape_obs.geometry.coons import AROUND, SIDE, border_of, side_lengths
 from shape_obs.geometry.polyline import arc_length, closed
 from shape_obs.geometry.rotation import moved_onto
 from shape_obs.tracking.model import gain_of
@@ -73,12 +73,12 @@ def match_corners(expected: Array, corners: Array) -> tuple[int, int, float]:
 
 @compiled
 def visible_corners(
-    rim: Any, space: Array, cut: Mask, expected: Array, sides: Array, tolerance: Array, model: Any
+    outline: Any, space: Array, cut: Mask, expected: Array, sides: Array, tolerance: Array, model: Any
 ) -> Indices:
     """Return which points of an outline are the corners of a sheet, ``(4,)``, -1 for a hidden one, or for all.
 
     Args:
-        rim: A ``Rim``.
+        outline: A ``SheetOutline``.
         space: ``(400, D)`` its points in the unit of the sides.
         cut: ``(400,)`` whether something lies over it there.
         expected: As ``assign_corners`` takes it, and the next two.
@@ -86,13 +86,17 @@ def visible_corners(
         tolerance: The same.
         model: The constants, one ``LatticeModel``.
     """
-    arc, places, arcs = arc_length(closed(space)), np.empty((len(rim.candidates), 2)), np.empty(len(rim.candidates))
-    which, count, spread = np.empty_like(rim.candidates), 0, model.corner_spread[space.shape[1] - 2]
-    for q in rim.candidates:
+    arc, places, arcs = (
+        arc_length(closed(space)),
+        np.empty((len(outline.candidates), 2)),
+        np.empty(len(outline.candidates)),
+    )
+    which, count, spread = np.empty_like(outline.candidates), 0, model.corner_spread[space.shape[1] - 2]
+    for q in outline.candidates:
         if not cut[q]:
-            places[count, 0], places[count, 1] = rim.points[q, 0], rim.points[q, 1]
+            places[count, 0], places[count, 1] = outline.points[q, 0], outline.points[q, 1]
             arcs[count], which[count], count = arc[q], q, count + 1
-    found, _ = assign_corners(expected, places[:count], arcs[:count], arc[RIM], sides, tolerance, spread, model)
+    found, _ = assign_corners(expected, places[:count], arcs[:count], arc[AROUND], sides, tolerance, spread, model)
     for k in range(4):
         found[k] = which[found[k]] if found[k] >= 0 else -1
     return found

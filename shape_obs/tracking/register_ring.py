@@ -307,7 +307,7 @@ def _traced(spectrum: Array) -> Array:
 
 @compiled
 def _over_shifts(spectrum: Array) -> Array:
-    """Return the values of a spectrum ``(2, H)`` at all shifts: ``(S,)``."""
+    """Return the values of a spectrum ``(2, H)`` over the shifts: ``(S,)``."""
     out = np.zeros(_SHIFTS)
     for h in range(_HARMONICS):
         a, b, cos, sin = spectrum[0, h], spectrum[1, h], _COS[h], _SIN[h]
@@ -318,7 +318,7 @@ def _over_shifts(spectrum: Array) -> Array:
 
 @compiled
 def _turned_by_shifts(spectrum: Array) -> Array:
-    """Return how well forms match at all shifts, ``(S,)``, after the best proper rotation."""
+    """Return how well forms match over the shifts, ``(S,)``, after the best proper rotation."""
     size, out = len(spectrum), np.empty(_SHIFTS)
     if size == 2:  # the sum of both singular values, the lesser one negative for a reflection
         along, across = _over_shifts(_traced(spectrum)), _over_shifts(spectrum[0, 1] - spectrum[1, 0])

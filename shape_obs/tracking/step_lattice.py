@@ -15,7 +15,7 @@ import numpy.typing as npt
 from shape_obs.camera import deprojected, projected
 from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, DepthImages
-from shape_obs.geometry.coons import FINE, RIM, blend_sides, border_of, coons_patch, side_lengths, sides_of
+from shape_obs.geometry.coons import AROUND, FINE, blend_sides, border_of, coons_patch, side_lengths, sides_of
 from shape_obs.geometry.lattice import assess_lattice, lattice_gauges
 from shape_obs.geometry.outline import SAMPLED, material_outline
 from shape_obs.geometry.polyline import arc_length, closed
@@ -23,8 +23,8 @@ from shape_obs.geometry.rotation import flattened
 from shape_obs.image.connected_runs import near_mask
 from shape_obs.image.outline_tracing import trace_largest
 from shape_obs.image.over_under import depth_at
-from shape_obs.initialization.corners import rim_of
-from shape_obs.tracking.complete_lattice import Edges, complete_border, hide_folded, rim_depth
+from shape_obs.initialization.corners import sheet_outline
+from shape_obs.tracking.complete_lattice import Edges, complete_border, hide_folded, outline_depth
 from shape_obs.tracking.measure_lattice import UNBENT, corners_of, numbered_corners, turns_within
 from shape_obs.tracking.measure_ring import MIN_SAMPLES
 from shape_obs.tracking.model import LatticeConstants, Model  # noqa: F401 - the first in a signature
@@ -90,7 +90,7 @@ def step_sheet(
         pieces: How many components there are.
         left: Image column.
         top: Image row.
-        depth: As ``rim_depth`` takes it, and the next.
+        depth: As ``outline_depth`` takes it, and the next.
         edge: Of what is searched.
         lens: The projection, see ``Intrinsics.lens``; ``(0,)`` without one.
         nodes: ``(625, 2)`` pixels, where the sheet is predicted; ``(0, 2)`` without a track.
@@ -106,20 +106,20 @@ def step_sheet(
     fault, quality, pixels, hidden, learnt, lengths = (NO_CORNERS, 0, 0.0, 0.0), 0.0, blank, nothing > 0, blank, sides
     if len(traced) <= SAMPLED * (MIN_SAMPLES - 1):
         return SheetStep(fault, quality, pixels, hidden, learnt, lengths, nothing, nothing, width)
-    rim = rim_of(material_outline(traced, False)[1])
+    outline = sheet_outline(material_outline(traced, False)[1])
     limits = (
         constants.nearer, constants.at_edge, constants.depth_reach, constants.min_reach, constants.max_reach,
         constants.min_depth, constants.edge_reach,
     )  # fmt: skip
-    z, cut = rim_depth(depth, edge, mask, left, top, rim.points, width, limits)
-    space, covered = deprojected(rim.points, z, lens), np.count_nonzero(cut) / RIM
+    z, cut = outline_depth(depth, edge, mask, left, top, outline.points, width, limits)
+    space, covered = deprojected(outline.points, z, lens), np.count_nonzero(cut) / AROUND
     cold, clear, deep = len(nodes) == 0, covered == 0, len(space) > 0
-    space = space if deep else rim.points
+    space = space if deep else outline.points
     known, before, tolerance = reference, sides, np.empty(4)
     if not cold and (len(reference) == 0 or reference.shape[1] > space.shape[1]):
         known, before = nodes, side_lengths(border_of(nodes))
     metric = not cold and known.shape[1] == 3
-    scale = arc_length(closed(space))[RIM] / (RIM * rim.step) if metric else 1.0
+    scale = arc_length(closed(space))[AROUND] / (AROUND * outline.step) if metric else 1.0
     for k in range(4):
         share = constants.length_tolerance[1 if metric else 0]
         tolerance[k] = max(share * before[k], constants.border_noise * scale)
@@ -132,26 +132,35 @@ def step_sheet(
             possible = clear or way == _COMPLETED
         if not possible:
             continue
-        code, number, moved, kink, kinks = NO_FAULT, 0, 0.0, 0.0, np.zeros(RIM)
-        there = space if metric or way != _COMPLETED else rim.points
+        code, number, moved, kink, kinks = NO_FAULT, 0, 0.0, 0.0, np.zeros(AROUND)
+        there = space if metric or way != _COMPLETED else outline.points
         patch, border, seen, folded = there[:0], there[:0], cut[:0], np.empty((0, 2), np.int64)
         if way == _COMPLETED:
             if metric:
                 inner = constants.inner * width
-                kinks = turns_within(rim.points, space, depth, mask, left, top, width, lens, limits, inner)
-            corners = visible_corners(rim, there, cut, corners_of(nodes), before, tolerance, constants)
+                kinks = turns_within(outline.points, space, depth, mask, left, top, width, lens, limits, inner)
+            corners = visible_corners(outline, there, cut, corners_of(nodes), before, tolerance, constants)
             border, seen, folded = complete_border(
-                border_of(nodes), border_of(known), rim.points, there, corners, cut, kinks, before, tolerance, constants
+                border_of(nodes),
+                border_of(known),
+                outline.points,
+                there,
+                corners,
+                cut,
+                kinks,
+                before,
+                tolerance,
+                constants,
             )
             if len(border) > 0:
                 patch = blend_sides(sides_of(border))
         else:
-            corners, number, moved = numbered_corners(rim, nodes, way == _BEST)
+            corners, number, moved = numbered_corners(outline, nodes, way == _BEST)
             if len(corners) > 0:
-                patch, kink = coons_patch(rim, there, corners)
+                patch, kink = coons_patch(outline, there, corners)
         places = projected(patch, lens) if patch.shape[1] == 3 else patch
         if len(places) == 0:
-            code, number = TOO_FEW_CORNERS if cold else NO_CORNERS, len(rim.candidates)
+            code, number = TOO_FEW_CORNERS if cold else NO_CORNERS, len(outline.candidates)
             code = OUT_OF_SIGHT if len(patch) > 0 else TOO_LITTLE if way == _COMPLETED else code
             if cold or way == _NEAREST or not clear:
                 fault = code, number, 0.0, 0.0

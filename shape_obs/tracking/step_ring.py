@@ -16,7 +16,7 @@ from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, DepthImages
 from shape_obs.geometry.outline import SAMPLED, material_outline
 from shape_obs.geometry.polyline import arc_length, closed, starting_at
-from shape_obs.tracking.complete_lattice import Edges, rim_depth
+from shape_obs.tracking.complete_lattice import Edges, outline_depth
 from shape_obs.tracking.complete_ring import complete_outline, hidden_pieces, sticks_out
 from shape_obs.tracking.measure_ring import MIN_SAMPLES, fit_ring_in_mask, nodes_around, trace_border
 from shape_obs.tracking.model import DepthLimits, Model, RingConstants  # noqa: F401 - the last in a signature
@@ -57,7 +57,7 @@ def step_ring_in_mask(
         pieces: How many components there are.
         left: Image column.
         top: Image row.
-        depth: As ``rim_depth`` takes it, and the next.
+        depth: As ``outline_depth`` takes it, and the next.
         edge: Of what is searched.
         lens: The projection, see ``Intrinsics.lens``; ``(0,)`` without one.
         hole: Which hole of the largest component, the largest first; -1 for its outer outline.
@@ -67,7 +67,7 @@ def step_ring_in_mask(
         known: ``(K, D)`` its nodes in the past, wherever it was, in pixels or metres; ``(0, 2)`` if they are not known.
         lasted: Seconds for which this frame counts.
         model: ``(1,)`` the constants.
-        limits: As ``rim_depth`` takes it.
+        limits: As ``outline_depth`` takes it.
 
     Returns:
         See ``RingStep``.
@@ -94,7 +94,7 @@ def step_ring_in_mask(
         curve = starting_at(curve, arc, first_place(curve, arc, target))
     cut = np.zeros(len(curve), np.bool_)
     if hole < 0:
-        z, cut = rim_depth(depth, edge, mask, left, top, curve, width, limits)
+        z, cut = outline_depth(depth, edge, mask, left, top, curve, width, limits)
         space = deprojected(curve, z, lens)
     if cold:
         curve, there, arc, nodes, places = begin_outline(curve, space, 0.0, count)
