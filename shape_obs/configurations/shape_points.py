@@ -118,7 +118,7 @@ def _points_in_image(spec: Configuration, found: Fit, scene: Scene) -> Seen:
     # Next to what hides a piece, depth that is not the form's is not the points' either.
     foreign = np.zeros(0, bool) if under is None else np.isnan(under)[at]
     return seen_points(
-        points, interpolated, log_depth, steep, foreign, off, found.size, scene.images, region.mask,
+        points, interpolated, log_depth, steep, foreign, off, form.size, scene.images, region.mask,
         region.window[:2], width, scene.lens, spec.radius, *known_layout(spec.layout), scene.size[1],
         math.hypot(*scene.size),
     )  # fmt: skip
@@ -145,7 +145,7 @@ def _points_in_cloud(
     points, interpolated, *_, off = spec.resample(form, form) if centres is None else _without_gaps(centres)
     visible = cloud.carries(points) & ~interpolated
     valid, pixels, points3d = visible & cloud.near(points), cloud.pixels_of(points), points.astype(np.float32)
-    sigma = errors_in_cloud(points3d, visible, valid, spec.layout, found.size, cloud.resolution, camera, off)
+    sigma = errors_in_cloud(points3d, visible, valid, spec.layout, form.size, cloud.resolution, camera, off)
     return None if pixels is None else pixels.astype(np.float32), points3d, visible, valid, sigma
 
 

@@ -24,9 +24,7 @@ Indices = npt.NDArray[np.int64]
 
 _CANDIDATES: Final = 10  # strongest turns of an outline, among which four corners are chosen in 210 ways
 _LEAST_TURN: Final = 0.35  # rad, 20 degrees: the corners of a sheet turn more, wherever it bends
-_NEAR: Final = (
-    AROUND // 20
-)  # points, half a short side of a sheet of 1:4: how far from its expected place a corner may be
+_NEAR: Final = AROUND // 20  # points from where a corner is expected, at most: half a short side of a sheet of 1:4
 
 
 @compiled

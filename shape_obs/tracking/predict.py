@@ -171,7 +171,7 @@ def advance(track: Track | None, found: Fit, observed: Observed, now: float, mod
     area = 0 if np.count_nonzero(form.interpolated) else observed.area
     drift = 0 if track is None or track.box is None or box is None else _drift(track.box, box)
     return Track(
-        nodes, velocity, max(interval, 0.0), found.size, now, topology, form.hints, width, box, drift, area,
+        nodes, velocity, max(interval, 0.0), form.size, now, topology, form.hints, width, box, drift, area,
         found.track_id, found.log_depth, depth_rate,
     )  # fmt: skip
 

@@ -35,6 +35,7 @@ class Scene(NamedTuple):
         depth: ``(H, W)``, None if there is none: it shows what lies over an object.
         intrinsics: Of the camera; None without one, or without depth.
         images: The depth as compiled code reads it; both empty if there is none.
+        lens: ``(10,)`` the projection, see ``Intrinsics.lens``; ``(0,)`` without one, or without depth.
     """
 
     frame: Frame
@@ -47,6 +48,7 @@ class Scene(NamedTuple):
     depth: npt.NDArray[Any] | None = None
     intrinsics: Intrinsics | None = None
     images: DepthImages = depth_images(None)
+    lens: npt.NDArray[np.float64] = NO_VALUES
 
     @classmethod
     def in_image(
@@ -55,13 +57,8 @@ class Scene(NamedTuple):
         """Return the scene of images or a mask of ``(H, W)``, in space if there are depth and a camera."""
         if frame.depth is None or frame.camera is None:
             return cls(frame, clock, anchors, True, False, size, edge)
-        known = frame.depth, frame.camera.intrinsics, frame.images
-        return cls(frame, clock, anchors, True, True, size, edge, *known)
-
-    @property
-    def lens(self) -> npt.NDArray[np.float64]:
-        """``(10,)`` the projection, see ``Intrinsics.lens``; ``(0,)`` without one."""
-        return NO_VALUES if self.intrinsics is None else self.intrinsics.lens
+        camera = frame.camera.intrinsics
+        return cls(frame, clock, anchors, True, True, size, edge, frame.depth, camera, frame.images, camera.lens)
 
     def around(self, region: Region) -> tuple[Own, Around]:
         """Return what compiled stages take of a mask, and of the rest of the frame.

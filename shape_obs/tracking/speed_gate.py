@@ -78,7 +78,7 @@ def is_as_large(found: Fit, track: Track, now: float) -> bool:
     known = 0.0 if rope is None or not len(form.metres) else float(rope["metres"][0])
     if known > 0:
         return form.whole and float(form.metres[-1]) >= WHOLE * known
-    return form.whole and found.size >= (WHOLE - _FALLING * (now - track.stamp)) * track.size
+    return form.whole and form.size >= (WHOLE - _FALLING * (now - track.stamp)) * track.size
 
 
 class SpeedGate:

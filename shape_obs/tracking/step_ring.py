@@ -6,8 +6,6 @@ the paper's rule puts its first point.
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 import numpy.typing as npt
 
@@ -34,11 +32,7 @@ Followed = tuple[Array, Array, Array, Array, Array, float, bool]
 #: curve, in distances of its samples; how many samples there are; the width of the largest component, pixels.
 RingStep = tuple[Followed, int, float, int, float]
 
-FOUND: Final = 0
-NO_HOLE: Final = 1
-NOT_HOLLOW: Final = 2
-TOO_SMALL: Final = 3
-TOO_THIN: Final = 4
+FOUND, NO_HOLE, NOT_HOLLOW, TOO_SMALL, TOO_THIN = range(5)  # why there is no outline, if there is none
 
 
 @compiled(

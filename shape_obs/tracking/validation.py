@@ -20,7 +20,9 @@ _JUDGED: Final = 150  # samples are enough to measure how far a mask spreads abo
 _JUDGED_AROUND: Final = 256  # samples are enough to measure by how much an outline is missed
 #: What is wrong with a sheet: a number, then one of a side or a corner, what was measured, and its limit.
 Fault = tuple[int, int, float, float]
-NO_FAULT, SHORTER, LONGER, ELSEWHERE, NO_CORNERS, TOO_FEW_CORNERS, OUT_OF_SIGHT, TOO_LITTLE, NOTHING_OVER = range(9)
+NO_FAULT, SHORTER, LONGER, ELSEWHERE, NO_CORNERS, TOO_FEW_CORNERS, OUT_OF_SIGHT, TOO_LITTLE, NOTHING_OVER = range(
+    9
+)  # 0...8
 CORNER_MOVED: Final = 9  # the first of those of ``judge_sheet``
 _SHEET_FAULTS: Final = (
     "",
