@@ -29,8 +29,8 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.geometry.observed import Samples
 from shape_obs.geometry.outline import SAMPLED
-from shape_obs.geometry.polyline import arc_length, closed, even_around
-from shape_obs.geometry.topology import Grid, Ring, Topology, undo_shrinkage
+from shape_obs.geometry.polyline import arc_length, closed, even_around, nearest_vertex
+from shape_obs.geometry.topology import Grid, Ring, Topology, pull_of, undo_shrinkage
 
 Array = npt.NDArray[np.float64]
 
@@ -232,11 +232,7 @@ def run_ring_som(samples: Array, smooth: Array, start: Array, count: int, sigma:
     size = len(smooth)
     around = closed(smooth)
     arc = arc_length(around)
-    begin, least = 0.0, np.inf
-    for p in range(size):
-        square = (smooth[p, 0] - start[0]) ** 2 + (smooth[p, 1] - start[1]) ** 2
-        if square < least:
-            begin, least = arc[p], square
+    begin = arc[nearest_vertex(smooth, start)]
     nodes, gap = even_around(around, arc, begin, count), arc[size] / count
     middle_u = middle_v = 0.0
     for k in range(count):
@@ -260,8 +256,7 @@ def run_ring_som(samples: Array, smooth: Array, start: Array, count: int, sigma:
         bins[k, 1] += weight * v
         bins[k, 3] += weight
     _update_line(nodes, bins, True, sigma)
-    near = math.exp(-0.5 / sigma**2)
-    nodes = undo_shrinkage(nodes, 1 / 24 + near / (1 + 2 * near), True)
+    nodes = undo_shrinkage(nodes, pull_of(sigma), True)
     for k in range(count):
         nodes[k, 0] += middle_u
         nodes[k, 1] += middle_v

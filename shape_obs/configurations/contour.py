@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Points
-from shape_obs.geometry.curve import FittedCurve, TrackHints
+from shape_obs.geometry.curve import NO_VALUES, FittedCurve, TrackHints
 from shape_obs.geometry.observed import Observed, Samples
 from shape_obs.geometry.outline import SAMPLED, clockwise, material_outline
 from shape_obs.geometry.polyline import (
@@ -41,7 +41,6 @@ Array = npt.NDArray[np.float64]
 
 _NOTHING: Final = np.zeros((0, 2))  # no nodes
 _NOWHERE: Final = np.zeros((0, 3))  # no places in space
-_ANYWHERE: Final = np.zeros(0)  # no target
 
 
 @dataclass(frozen=True)
@@ -86,9 +85,8 @@ class Contour(Configuration, kind="contour"):
         if region is not None:
             own, around = scene.around(region)
             step = step_ring_in_mask(
-                *own, *around,
-                -1 if self.hole is None else self.hole, self.ring, _ANYWHERE if target is None else target, *given,
-                lasted, self.model.record, self.model.depth_limits,
+                *own, *around, -1 if self.hole is None else self.hole, self.ring,
+                NO_VALUES if target is None else target, *given, lasted, self.model.record,
             )  # fmt: skip
         else:
             step = self._step_in_cloud(cast("Cloud", observed), prediction, target, *given)
@@ -110,7 +108,7 @@ class Contour(Configuration, kind="contour"):
         samples, outline = cloud.outline_samples(), np.ascontiguousarray(cloud.outline_curve().points)
         why = NO_HOLE if self.hole is not None else TOO_SMALL if len(outline) < MIN_SAMPLES else FOUND
         if why != FOUND:
-            return (outline, outline, _ANYWHERE, nodes, known, 0.0, True), why, np.inf, len(outline), 0.0
+            return (outline, outline, NO_VALUES, nodes, known, 0.0, True), why, np.inf, len(outline), 0.0
         count = len(nodes) if len(nodes) else nodes_around(len(outline), self.model.node_spacing)
         start = outline[0] if prediction is None else nodes[0]
         points, miss = fit_ring_in_cloud(
@@ -122,7 +120,7 @@ class Contour(Configuration, kind="contour"):
             found = curve.points, _NOWHERE, curve.arc, curve.even(count), known, self.model.velocity_share, False
         else:
             found = follow_ring(
-                points, _NOWHERE, np.zeros(len(points), bool), nodes, known, cloud.resolution, _ANYWHERE,
+                points, _NOWHERE, np.zeros(len(points), bool), nodes, known, cloud.resolution, NO_VALUES,
                 prediction.lasted, self.model.record,
             )  # fmt: skip
         return found, why, miss, len(outline), 0.0
@@ -143,7 +141,7 @@ class Contour(Configuration, kind="contour"):
         """Return the curve clockwise as seen, from the place nearest the target, else from the least u + v."""
         if not clockwise(seen):
             form, seen = form.reversed(), np.roll(seen[::-1], 1, axis=0)
-        target = _ANYWHERE if target is None else target
+        target = NO_VALUES if target is None else target
         return form.starting_at(first_place(np.ascontiguousarray(seen), form.arc, target))
 
     def resample(self, form: FittedCurve, metric: FittedCurve) -> Points:

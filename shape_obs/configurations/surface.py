@@ -32,7 +32,7 @@ from shape_obs.tracking.validation import NO_CORNERS, NO_FAULT, judge_sheet, she
 Array = npt.NDArray[np.float64]
 
 _GRID: Final = Grid(FINE, FINE)  # the nodes that are kept from frame to frame, for any lattice that is sampled
-_NO_NODES, _NO_SIDES, _NOTHING = np.empty((0, 2)), np.zeros(4), np.zeros(0)  # without a track; without a camera
+_NO_NODES, _NO_SIDES = np.empty((0, 2)), np.zeros(4)  # without a track
 _COMPILED: Final = (
     step_sheet, patch_in_cloud, match_lattices, judge_sheet, isometry_in_image, isometry_in_space, lattice_gauges,
     sample_lattice, uneven_places, arc_length, interpolate, material_outline,
@@ -111,7 +111,7 @@ class Surface(Configuration, kind="surface"):
         return self._finish(form, quality, region, width)
 
     def _finish(self, form: FittedLattice, quality: float, observed: Observed, width: float) -> Fit:
-        """Return the fit of a lattice, its inside moved with the map if that is asked for."""
+        """Return the fit of a lattice, its inside moved with the map where there are ``epochs`` of it."""
         if self.epochs:
             form = form.with_points(form.points + moved_inside(form, observed, self.epochs))
         return Fit(form, quality, "", form.points, _GRID, width, observed, width)

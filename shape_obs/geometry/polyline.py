@@ -286,6 +286,18 @@ def nearest_along(curve: Array, arc: Array, points: Array) -> tuple[Array, Array
 
 
 @compiled
+def nearest_vertex(points: Array, place: Array) -> int:
+    """Return which of ``(P, D)`` points is nearest to a place ``(D,)``, the first of several."""
+    best, least = 0, np.inf
+    for p in range(len(points)):
+        square = 0.0
+        for d in range(points.shape[1]):
+            square += (points[p, d] - place[d]) ** 2
+        best, least = (p, square) if square < least else (best, least)
+    return best
+
+
+@compiled
 def nearest_piece(curve: Array, point: Array, first: int, stop: int) -> tuple[float, int, float]:
     """Return how near some pieces of a polyline come to a point.
 

@@ -5,9 +5,9 @@ The same classes describe how a shape's points are connected: a chain, a ring, o
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, ClassVar, Final, TypeVar
 
 import numpy as np
@@ -188,15 +188,18 @@ def fill_lattice(values: Array, known: npt.NDArray[np.bool_]) -> Array:
     return out
 
 
-@lru_cache(maxsize=64)
 def shrinkage(sigma: float) -> float:
     """Return how far averaging pulls the nodes of a line from their curve, to second order, as a share of their bend.
 
     The mean over a unit cell of a curve C is C + C''/24, and the kernel mean over both neighbours adds h/(1+2h) C''
     with h = exp(-1/2 sigma^2).
     """
-    h = float(np.exp(-0.5 / sigma**2))
+    h = math.exp(-0.5 / sigma**2)
     return 1 / 24 + h / (1 + 2 * h)
+
+
+#: ``shrinkage`` in compiled code.
+pull_of = compiled(shrinkage)
 
 
 @compiled("(f8[:,::1], f8, b1)")

@@ -89,16 +89,6 @@ def trace_components(mask: Mask, runs: Indices, pieces: int, left: int, top: int
     return outlines[:count], stops, areas, perimeters, widths, holes
 
 
-@compiled
-def trace_largest(mask: Mask, runs: Indices, pieces: int, left: int, top: int) -> tuple[Array, float]:
-    """Return the outline ``(P, 2)`` of the largest component of a mask, and its width; see ``trace_components``."""
-    outlines, stops, areas, _, widths, _ = trace_components(mask, runs, pieces, left, top)
-    largest = 0
-    for q in range(1, pieces):
-        largest = q if areas[q] > areas[largest] else largest
-    return outlines[stops[largest - 1] if largest else 0 : stops[largest]], widths[largest]
-
-
 @compiled("(u1[:,::1], i8, i8, i8, i8)")
 def trace_hole(mask: Mask, column: int, row: int, left: int, top: int) -> Array:
     """Trace the border of the hole to the right of an image pixel of a mask: ``(P, 2)`` image pixels, closed."""

@@ -22,7 +22,6 @@ from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.image.over_under import depth_at
 from shape_obs.initialization.corners import nearest_of
 from shape_obs.point_cloud.local_depth import bridged, median_depth
-from shape_obs.tracking.model import DepthLimits
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -256,7 +255,7 @@ def hide_folded(folded: Indices, sides: Array, hidden: Mask) -> None:
 @compiled
 def outline_depth(
     depth: DepthImages, edge: Edges, mask: npt.NDArray[np.uint8], left: int, top: int, outline: Array, width: float,
-    limits: DepthLimits,
+    model: Any,
 ) -> tuple[Array, Mask]:  # fmt: skip
     """Return the depth along an outline, and where the object may go on beyond it.
 
@@ -268,29 +267,29 @@ def outline_depth(
         top: Image row of its first pixel.
         outline: ``(P, 2)`` pixels, clockwise as seen.
         width: Of the object, pixels: depth is read within a share of it.
-        limits: See ``DepthLimits``.
+        model: The constants, one ``RingModel`` or ``LatticeModel``.
 
     Returns:
         ``(P,)`` metres, all NaN if less than half of the outline has depth; ``(P,)`` whether the outline is that of
         something nearer that lies over the object, or of what is searched.
     """
-    nearer, at_edge, share, least, most, min_depth, edge_reach = limits
     every = max(len(outline) // _WINDOWS, 1)
-    count, reach = -(-len(outline) // every), int(min(max(round(width * share), least), most))
+    count = -(-len(outline) // every)
+    reach = int(min(max(round(width * model.depth_reach), model.min_reach), model.max_reach))
     z, cut, flags = np.full(len(outline), np.nan), np.zeros(len(outline), np.bool_), np.zeros(count, np.bool_)
     some, under = np.empty((count, 2)), np.zeros(count)
     for k in range(count):
         u, v = outline[k * every, 0], outline[k * every, 1]
-        inside = edge[0] + at_edge < u < edge[0] + edge[2] - 1 - at_edge
-        flags[k] = not (inside and edge[1] + at_edge < v < edge[1] + edge[3] - 1 - at_edge)
+        inside = edge[0] + model.at_edge < u < edge[0] + edge[2] - 1 - model.at_edge
+        flags[k] = not (inside and edge[1] + model.at_edge < v < edge[1] + edge[3] - 1 - model.at_edge)
         some[k, 0], some[k, 1] = u, v
     if len(depth[0]) > 0 or len(depth[1]) > 0:
-        under, _ = median_depth(depth, mask, left, top, some, reach, min_depth, True)
+        under, _ = median_depth(depth, mask, left, top, some, reach, model.min_depth, True)
     if bridged(under):
         for k in range(count):
             before, after = some[k - 1], some[(k + 1) % count]
             flags[k] = flags[k] or _is_covered(
-                depth, mask, left, top, some[k], before, after, under[k], nearer, int(edge_reach)
+                depth, mask, left, top, some[k], before, after, under[k], model.nearer, int(model.edge_reach)
             )
             near, far = 1 / under[k], 1 / under[(k + 1) % count]
             between = min(every, len(outline) - k * every)
@@ -321,7 +320,7 @@ def _is_covered(
         metres = 0.0 if inside else depth_at(depth, at[0] + x, at[1] + y)
         if metres == 0:
             continue
-        across = depth_at(depth, at[0] - x, at[1] - y)  # the object's own, so far inside: a table aslant goes on so
+        across = depth_at(depth, at[0] - x, at[1] - y)  # the object's own, so far inside: a tilted table goes on so
         if across > 0 and 2 / z > 1 / across:
             z = min(z, 1 / (2 / z - 1 / across))
         if abs(metres - z) > nearer:

@@ -45,15 +45,15 @@ def hidden_pieces(
         return cut, known
     count, around = max(len(known), _LEAST_NODES), closed(points)
     at = np.arange(count, dtype=np.float64) * (len(known) / count)
-    laid = closed(moved_onto(known, known, expected, np.ones(len(known)), True))
-    laid = interpolate(laid, np.arange(len(laid), dtype=np.float64), at)
-    laid = _moved_along(around, laid, model)
+    aligned = closed(moved_onto(known, known, expected, np.ones(len(known)), True))
+    aligned = interpolate(aligned, np.arange(len(aligned), dtype=np.float64), at)
+    aligned = _moved_along(around, aligned, model)
     places = even_around(around, arc, 0.0, count)
-    at, far, inside = nearest_places(closed(laid), places)
+    at, far, inside = nearest_places(closed(aligned), places)
     off = inside & (far > model.inside)
     if not off.any() or off.all():
-        return cut, laid
-    before, more = turns_around(laid, model.turn_reach), turns_around(places, model.turn_reach)
+        return cut, aligned
+    before, more = turns_around(aligned, model.turn_reach), turns_around(places, model.turn_reach)
     for k in range(count):
         i = int(at[k])
         more[k] -= before[i] + (at[k] - i) * (before[(i + 1) % count] - before[i])
@@ -72,7 +72,7 @@ def hidden_pieces(
             way = (last - first) % count / count * arc[-1]
             for p in range(len(points)):
                 cut[p] |= (arc[p] - first / count * arc[-1]) % arc[-1] <= way
-    return cut, laid
+    return cut, aligned
 
 
 @compiled
@@ -85,9 +85,9 @@ def may_be_hidden(nodes: Array, known: Array, model: Any) -> bool:
         model: The constants, one ``RingModel``.
     """
     count, far, reach = len(nodes), 0.0, int(model.turn_within)
-    laid = moved_onto(known, known, nodes, np.ones(count), True)
+    aligned = moved_onto(known, known, nodes, np.ones(count), True)
     for k in range(count):
-        far = max(far, math.hypot(nodes[k, 0] - laid[k, 0], nodes[k, 1] - laid[k, 1]))
+        far = max(far, math.hypot(nodes[k, 0] - aligned[k, 0], nodes[k, 1] - aligned[k, 1]))
     if far < model.inside:
         return False
     now, then = turns_around(nodes, model.turn_reach), turns_around(known, model.turn_reach)

@@ -16,7 +16,6 @@ from shape_obs.geometry.lattice import assess_lattice
 from shape_obs.geometry.polyline import arc_length, closed, even_around
 from shape_obs.initialization.corners import best_corners, nearest_corners, sheet_outline
 from shape_obs.tracking.complete_lattice import outline_depth
-from shape_obs.tracking.model import DepthLimits
 from shape_obs.tracking.register_lattice import match_corners
 
 Array = npt.NDArray[np.float64]
@@ -99,7 +98,7 @@ def match_lattices(nodes: Array, found: Array) -> tuple[int, int, float]:
 @compiled
 def turns_within(
     outline: Array, space: Array, depth: DepthImages, mask: Mask, left: int, top: int, width: float, lens: Array,
-    limits: DepthLimits, inner: float,
+    model: Any,
 ) -> Array:  # fmt: skip
     """Return ``(400,)`` radians by which an outline turns within the sheet, which bending does not change.
 
@@ -114,17 +113,16 @@ def turns_within(
         top: Image row.
         width: Of the sheet, pixels.
         lens: The projection.
-        limits: See ``outline_depth``.
-        inner: The plane of the sheet is measured so many pixels inside.
+        model: The constants, one ``LatticeModel``.
     """
     inside, turns = np.empty_like(outline), np.zeros(AROUND)
     for p in range(AROUND):
         back, ahead = (p - TURN_REACH // 2) % AROUND, (p + TURN_REACH // 2) % AROUND
         x, y = outline[ahead, 0] - outline[back, 0], outline[ahead, 1] - outline[back, 1]
-        far = inner / max(math.sqrt(x * x + y * y), 1e-9)
+        far = model.inner * width / max(math.sqrt(x * x + y * y), 1e-9)
         inside[p, 0], inside[p, 1] = outline[p, 0] - far * y, outline[p, 1] + far * x
     window = left, top, mask.shape[1], mask.shape[0]
-    z, _ = outline_depth(depth, window, mask, left, top, inside, width, limits)
+    z, _ = outline_depth(depth, window, mask, left, top, inside, width, model)
     there = deprojected(inside, z, lens)
     for p in range(len(there)):
         before = _away(space[(p - TURN_REACH) % AROUND], space[p])

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from shape_obs.clustering.som import batch_epochs, run_ring_som
 from shape_obs.compiled import compiled
 from shape_obs.geometry.outline import SAMPLED, enclosed_by, pairs
-from shape_obs.geometry.polyline import arc_length, catmull_rom, closed, even_around
-from shape_obs.geometry.topology import undo_shrinkage
+from shape_obs.geometry.polyline import arc_length, catmull_rom, closed, even_around, nearest_vertex
+from shape_obs.geometry.topology import pull_of, undo_shrinkage
 from shape_obs.image.outline_tracing import trace_components, trace_hole
 from shape_obs.tracking.validation import ring_miss
 
@@ -25,9 +25,7 @@ _NODES: Final = (24, 192)  # at least and at most, for any number of points
 
 
 @compiled
-def trace_border(
-    mask: Mask, runs: Indices, pieces: int, left: int, top: int, hole: int
-) -> tuple[Array, float, float]:  # fmt: skip
+def trace_border(mask: Mask, runs: Indices, pieces: int, left: int, top: int, hole: int) -> tuple[Array, float, float]:
     """Return the outline of the largest component of a mask or of a hole of it, and what the component looks like.
 
     Args:
@@ -104,16 +102,10 @@ def fit_ring_in_cloud(
     Returns:
         ``(count * 4, 3)`` the closed curve, and how far the samples miss it, in their distances.
     """
-    around, nearest, least = closed(outline), 0, np.inf
+    around = closed(outline)
     arc = arc_length(around)
-    for p in range(len(outline)):
-        square = 0.0
-        for d in range(3):
-            square += (outline[p, d] - start[d]) ** 2
-        nearest, least = (p, square) if square < least else (nearest, least)
-    nodes = even_around(around, arc, arc[nearest], count)
+    nodes = even_around(around, arc, arc[nearest_vertex(outline, start)], count)
     nodes = batch_epochs(points, weight, nodes, (1, count), True, np.full(1, sigma))
-    near = np.exp(-0.5 / sigma**2)
-    nodes = undo_shrinkage(nodes, 1 / 24 + near / (1 + 2 * near), True)
+    nodes = undo_shrinkage(nodes, pull_of(sigma), True)
     curve = catmull_rom(nodes, _PIECES, True)
     return curve, ring_miss(points, curve) / scale

@@ -23,9 +23,6 @@ from shape_obs.compiled import compiled
 
 Model = npt.NDArray[Any]
 _Pair = tuple[float, float]
-#: How depth is read along an outline: ``nearer``, ``at_edge``, ``depth_reach``, ``min_reach``, ``max_reach``,
-#: ``min_depth`` and ``edge_reach`` of an ``OutlineModel``.
-DepthLimits = tuple[float, float, float, float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -176,12 +173,6 @@ class OutlineModel(MotionModel):
     min_depth: float = 0.5  # of the pixels around a point: with less depth, a plane through them is off next to a hole
     edge_reach: float = 7.0  # pixels beyond an outline, where depth is looked for: a camera has none next to an edge
     form_noise: float = 0.5  # pixels: what is nearer to the known form is off by noise
-
-    @cached_property
-    def depth_limits(self) -> DepthLimits:
-        """What reading depth along an outline takes."""
-        reach = self.depth_reach, self.min_reach, self.max_reach
-        return self.nearer, self.at_edge, *reach, self.min_depth, self.edge_reach
 
 
 @dataclass(frozen=True)

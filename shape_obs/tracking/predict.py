@@ -124,7 +124,7 @@ class Prediction(NamedTuple):
     reach: float = math.inf
 
     @property
-    def lapse(self) -> float:
+    def intervals(self) -> float:
         """How long ago the object was seen last, in intervals of the track, at least 1."""
         return max(self.seconds / self.track.interval, 1.0) if self.track.interval > 0 else 1.0
 

@@ -86,11 +86,8 @@ def visible_corners(
         tolerance: The same.
         model: The constants, one ``LatticeModel``.
     """
-    arc, places, arcs = (
-        arc_length(closed(space)),
-        np.empty((len(outline.candidates), 2)),
-        np.empty(len(outline.candidates)),
-    )
+    arc, size = arc_length(closed(space)), len(outline.candidates)
+    places, arcs = np.empty((size, 2)), np.empty(size)
     which, count, spread = np.empty_like(outline.candidates), 0, model.corner_spread[space.shape[1] - 2]
     for q in outline.candidates:
         if not cut[q]:
@@ -225,9 +222,9 @@ def compare_sheet(
     if abs(most) > 1:
         return (SHORTER if most < 0 else LONGER), side
     if not metric:
-        laid, far = moved_onto(known, known, border, np.ones(len(known), np.bool_), True), 0.0
+        aligned, far = moved_onto(known, known, border, np.ones(len(known), np.bool_), True), 0.0
         for p in range(4 * SIDE):
-            far = max(far, (border[p, 0] - laid[p, 0]) ** 2 + (border[p, 1] - laid[p, 1]) ** 2)
+            far = max(far, (border[p, 0] - aligned[p, 0]) ** 2 + (border[p, 1] - aligned[p, 1]) ** 2)
         if math.sqrt(far) > model.dent[1] + model.dent[0] * sides.mean():
             return ELSEWHERE, 0
     return NO_FAULT, 0
@@ -269,15 +266,15 @@ def learn_sheet(known: Array, patch: Array, sides: Array, lasted: float, model: 
         learnt[k] = sides[k] * zoom + min(max(lengths[k] - sides[k] * zoom, -stretch), stretch)
     if metric:
         return patch, learnt
-    laid = moved_onto(known, known, patch, np.ones(len(known), np.bool_), True)
-    far, most = _apart(patch, laid), model.max_stretch[1] * lasted * learnt.mean()
+    aligned = moved_onto(known, known, patch, np.ones(len(known), np.bool_), True)
+    far, most = _apart(patch, aligned), model.max_stretch[1] * lasted * learnt.mean()
     limit = max(model.outlier * np.median(far[::_SOME].copy()), model.form_noise)
     gain = gain_of(lasted, model.form_memory)
     for p in range(len(patch)):
         share = gain * ((limit / far[p]) ** 4 if far[p] > limit else 1.0)
         for d in range(2):
-            laid[p, d] += min(max(share * (patch[p, d] - laid[p, d]), -most), most)
-    return laid, learnt
+            aligned[p, d] += min(max(share * (patch[p, d] - aligned[p, d]), -most), most)
+    return aligned, learnt
 
 
 @compiled

@@ -21,12 +21,11 @@ from shape_obs.geometry.outline import SAMPLED, material_outline
 from shape_obs.geometry.polyline import arc_length, closed
 from shape_obs.geometry.rotation import flattened
 from shape_obs.image.connected_runs import near_mask
-from shape_obs.image.outline_tracing import trace_largest
 from shape_obs.image.over_under import depth_at
 from shape_obs.initialization.corners import sheet_outline
 from shape_obs.tracking.complete_lattice import Edges, complete_border, hide_folded, outline_depth
 from shape_obs.tracking.measure_lattice import UNBENT, corners_of, numbered_corners, turns_within
-from shape_obs.tracking.measure_ring import MIN_SAMPLES
+from shape_obs.tracking.measure_ring import MIN_SAMPLES, trace_border
 from shape_obs.tracking.model import LatticeConstants, Model  # noqa: F401 - the first in a signature
 from shape_obs.tracking.register_lattice import compare_sheet, doubtful_places, learn_sheet, rescaled, visible_corners
 from shape_obs.tracking.validation import (
@@ -102,16 +101,12 @@ def step_sheet(
         model: ``(1,)`` the constants.
     """
     constants, nothing, blank = model[0], np.zeros(0), np.empty((0, 2))
-    traced, width = trace_largest(mask, runs, pieces, left, top)
+    traced, width, _ = trace_border(mask, runs, pieces, left, top, -1)
     fault, quality, pixels, hidden, learnt, lengths = (NO_CORNERS, 0, 0.0, 0.0), 0.0, blank, nothing > 0, blank, sides
     if len(traced) <= SAMPLED * (MIN_SAMPLES - 1):
         return SheetStep(fault, quality, pixels, hidden, learnt, lengths, nothing, nothing, width)
     outline = sheet_outline(material_outline(traced, False)[1])
-    limits = (
-        constants.nearer, constants.at_edge, constants.depth_reach, constants.min_reach, constants.max_reach,
-        constants.min_depth, constants.edge_reach,
-    )  # fmt: skip
-    z, cut = outline_depth(depth, edge, mask, left, top, outline.points, width, limits)
+    z, cut = outline_depth(depth, edge, mask, left, top, outline.points, width, constants)
     space, covered = deprojected(outline.points, z, lens), np.count_nonzero(cut) / AROUND
     cold, clear, deep = len(nodes) == 0, covered == 0, len(space) > 0
     space = space if deep else outline.points
@@ -137,8 +132,7 @@ def step_sheet(
         patch, border, seen, folded = there[:0], there[:0], cut[:0], np.empty((0, 2), np.int64)
         if way == _COMPLETED:
             if metric:
-                inner = constants.inner * width
-                kinks = turns_within(outline.points, space, depth, mask, left, top, width, lens, limits, inner)
+                kinks = turns_within(outline.points, space, depth, mask, left, top, width, lens, constants)
             corners = visible_corners(outline, there, cut, corners_of(nodes), before, tolerance, constants)
             border, seen, folded = complete_border(
                 border_of(nodes),

@@ -13,11 +13,11 @@ from shape_obs.camera import deprojected, projected
 from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, DepthImages
 from shape_obs.geometry.outline import SAMPLED, material_outline
-from shape_obs.geometry.polyline import arc_length, closed, starting_at
+from shape_obs.geometry.polyline import arc_length, closed, nearest_vertex, starting_at
 from shape_obs.tracking.complete_lattice import Edges, outline_depth
 from shape_obs.tracking.complete_ring import complete_outline, hidden_pieces, sticks_out
 from shape_obs.tracking.measure_ring import MIN_SAMPLES, fit_ring_in_mask, nodes_around, trace_border
-from shape_obs.tracking.model import DepthLimits, Model, RingConstants  # noqa: F401 - the last in a signature
+from shape_obs.tracking.model import Model, RingConstants  # noqa: F401 - the last in a signature
 from shape_obs.tracking.register_ring import begin_outline, first_place, register_ring
 
 Array = npt.NDArray[np.float64]
@@ -37,11 +37,11 @@ FOUND, NO_HOLE, NOT_HOLLOW, TOO_SMALL, TOO_THIN = range(5)  # why there is no ou
 
 @compiled(
     "(u1[:,::1], i8[:,::1], i8, i8, i8, " + DEPTH_TYPE + ", UniTuple(i8, 4), f8[::1], i8, b1, f8[::1], "
-    "f8[:,::1], f8[:,::1], f8, RingConstants[::1], UniTuple(f8, 7))"
+    "f8[:,::1], f8[:,::1], f8, RingConstants[::1])"
 )
 def step_ring_in_mask(
     mask: Mask, runs: Indices, pieces: int, left: int, top: int, depth: DepthImages, edge: Edges, lens: Array,
-    hole: int, band: bool, target: Array, nodes: Array, known: Array, lasted: float, model: Model, limits: DepthLimits,
+    hole: int, band: bool, target: Array, nodes: Array, known: Array, lasted: float, model: Model,
 ) -> RingStep:  # fmt: skip
     """Follow an outline into a mask, or find it there.
 
@@ -61,7 +61,6 @@ def step_ring_in_mask(
         known: ``(K, D)`` its nodes in the past, wherever it was, in pixels or metres; ``(0, 2)`` if they are not known.
         lasted: Seconds for which this frame counts.
         model: ``(1,)`` the constants.
-        limits: As ``outline_depth`` takes it.
 
     Returns:
         See ``RingStep``.
@@ -88,7 +87,7 @@ def step_ring_in_mask(
         curve = starting_at(curve, arc, first_place(curve, arc, target))
     cut = np.zeros(len(curve), np.bool_)
     if hole < 0:
-        z, cut = outline_depth(depth, edge, mask, left, top, curve, width, limits)
+        z, cut = outline_depth(depth, edge, mask, left, top, curve, width, constants)
         space = deprojected(curve, z, lens)
     if cold:
         curve, there, arc, nodes, places = begin_outline(curve, space, 0.0, count)
@@ -149,10 +148,7 @@ def follow_ring(
         )
         now = known if covered else now  # what touches it may hide a little of it
     elif len(space) > 0:  # depth is new
-        near, least, metres = 0, np.inf, arc_length(closed(space))
-        for p in range(len(points)):
-            square = (points[p, 0] - found[0, 0]) ** 2 + (points[p, 1] - found[0, 1]) ** 2
-            near, least = (p, square) if square < least else (near, least)
-        turned, there, arc, found, now = begin_outline(points, space, metres[near], len(nodes))
+        metres = arc_length(closed(space))[nearest_vertex(points, found[0])]
+        turned, there, arc, found, now = begin_outline(points, space, metres, len(nodes))
         turning = usual
     return turned, there, arc, found, now, turning, False

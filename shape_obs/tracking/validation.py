@@ -20,9 +20,8 @@ _JUDGED: Final = 150  # samples are enough to measure how far a mask spreads abo
 _JUDGED_AROUND: Final = 256  # samples are enough to measure by how much an outline is missed
 #: What is wrong with a sheet: a number, then one of a side or a corner, what was measured, and its limit.
 Fault = tuple[int, int, float, float]
-NO_FAULT, SHORTER, LONGER, ELSEWHERE, NO_CORNERS, TOO_FEW_CORNERS, OUT_OF_SIGHT, TOO_LITTLE, NOTHING_OVER = range(
-    9
-)  # 0...8
+NO_FAULT, SHORTER, LONGER, ELSEWHERE = range(4)  # what differs from the sheet that is known
+NO_CORNERS, TOO_FEW_CORNERS, OUT_OF_SIGHT, TOO_LITTLE, NOTHING_OVER = range(4, 9)  # what is seen of it
 CORNER_MOVED: Final = 9  # the first of those of ``judge_sheet``
 _SHEET_FAULTS: Final = (
     "",
