@@ -17,7 +17,7 @@ from shape_obs.geometry.crossings import Crossing
 from shape_obs.geometry.observed import Observed
 from shape_obs.shape import Shape
 from shape_obs.tracking.missing import lost_shape
-from shape_obs.tracking.predict import Fit, Prediction, Track, advance, predict
+from shape_obs.tracking.predict import Fit, Prediction, Track
 from shape_obs.tracking.register_chain import direction
 from shape_obs.tracking.scene import Scene
 from shape_obs.tracking.speed_gate import LARGER, WHOLE, Candidate, SpeedGate, is_as_large
@@ -58,8 +58,8 @@ class Tracker:
         """The tracker itself."""
         return (self,)
 
-    def expect(self, observed: Observed, scene: Scene) -> Prediction | None:
-        """Return where the shape should be; None if it is unknown."""
+    def expect(self, scene: Scene) -> Prediction | None:
+        """Return what is known of the shape; None if it has no track."""
         kind = scene.in_2d, scene.size
         if self._kind != kind:
             # Pixels cannot be compared with metres, or with those of another size.
@@ -68,7 +68,7 @@ class Tracker:
         if self.track is None:
             return None
         reach = self._gate.reach(self.track, scene)
-        return predict(self.track, observed, scene.clock.now, self.spec.model, self._gone, reach)
+        return Prediction(self.track, scene.clock.now, self.spec.model, self._gone, reach)
 
     def target(self, scene: Scene, *, again: bool = False) -> Array | None:
         """Return where point 0 belongs if the shape is to be numbered in this frame; None if its place is free.
@@ -83,7 +83,7 @@ class Tracker:
 
     def fit(self, observed: Observed, scene: Scene) -> Fit:
         """Fit the shape to what was observed, and advance its track."""
-        prediction, target = self.expect(observed, scene), self.target(scene)
+        prediction, target = self.expect(scene), self.target(scene)
         if observed.refusal:
             self._candidate = None
             return Fit(reason=observed.refusal)
@@ -101,12 +101,11 @@ class Tracker:
         spec = self.spec
         if self.track is not None and prediction is not None:
             found = self._checked(found, observed, prediction, scene, alone and spec.is_ribbon)
-        if not found.reason or found.follow:
-            track = None if found.new or self._gone else self.track
+        if found.track is not None and (not found.reason or found.follow):
+            begins = found.new or self._gone
+            self._number += begins or self.track is None
             self._gone, self._candidate = False, None
-            self._number = self._number + 1 if track is None else track.track_id
-            found = found._replace(track_id=self._number)
-            self.track = advance(track, found, observed, scene.clock.now, spec.model)
+            self.track = found.track.begun() if begins else found.track
         if not found.reason:
             if spec.order == "image":
                 seen = observed.seen(found.form.points, target)
@@ -128,10 +127,10 @@ class Tracker:
             found = found._replace(follow=False)
         far = ""
         if not found.reason or found.follow:
-            on_path = before is not None and before.leads_to(found, observed, self._gate, scene)
+            on_path = before is not None and before.leads_to(found, self._gate, scene)
             seconds = (before.begun if before is not None and on_path else now) - track.stamp
-            assert found.nodes is not None
-            far = self._gate.exceeded(found.nodes, expected, seconds, scene)
+            assert found.track is not None
+            far = self._gate.exceeded(found.track.nodes, expected, seconds, scene)
             if not far:
                 return found
             if expected.stale and not (before is not None and before.joined):
@@ -152,10 +151,9 @@ class Tracker:
         spec, gate, now, before, track = self.spec, self._gate, scene.clock.now, self._before, expected.track
         self._candidate = None
         if before is not None:
-            ahead = predict(before.track, observed, now, spec.model)
-            seen = spec.fit(observed, ahead, None, scene)._replace(track_id=track.track_id)
-            if before.leads_to(seen, observed, gate, scene):
-                self._candidate = before.continued(advance(before.track, seen, observed, now, spec.model))
+            seen = spec.fit(observed, Prediction(before.track, now, spec.model), None, scene)
+            if seen.track is not None and before.leads_to(seen, gate, scene):
+                self._candidate = before.continued(seen.track)
                 if before.frames == 0:
                     joins = before.joins and gate.joins(self._candidate, before.track.nodes, expected, scene)
                     self._candidate = self._candidate._replace(joins=joins)
@@ -166,12 +164,13 @@ class Tracker:
                 return found
             head = np.ascontiguousarray(track.nodes[:1])
             found = spec.fit(observed, None, observed.seen(head, head)[0], scene)
-            if found.reason or found.nodes is None or not is_as_large(found, track, now):
+            if found.reason or found.track is None or not is_as_large(found, track, now):
                 return found
-            own = direction(found.nodes, track.nodes, expected.reach) <= 0
+            own = direction(found.track.nodes, track.nodes, expected.reach) <= 0
             found = spec.fit(observed, None, self.target(scene, again=True), scene) if own else found
-        begun = advance(None, found._replace(track_id=track.track_id), observed, now, spec.model)
-        self._candidate = Candidate(begun, now, 0, 0 if before is None else before.refused + 1, not own, own)
+        assert found.track is not None
+        refused = 0 if before is None else before.refused + 1
+        self._candidate = Candidate(found.track.begun(), now, 0, refused, not own, own)
         return found
 
     def _is_misplaced(self, observed: Observed) -> bool:
@@ -203,14 +202,15 @@ class Tracker:
         self.strand = None
         misplaced, self._misplaced = self._misplaced, False
         if not (reason := found.reason):  # depth enters: -> points
-            shape = shape_of(spec, found, scene, last, config.on_invalid)
+            shape = shape_of(spec, found, scene, last, config.on_invalid, self._number)
             if not (reason := shape.reason):
                 self._last, self._seen_at = shape, clock.now
                 self._area = self._seen_area * len(shape) / max(np.count_nonzero(shape.visible), 1)
                 if spec.is_ribbon and scene.in_2d:
                     points = found.form.points[::2]  # every half a width, which is fine enough to cross
                     points = points if points.shape[1] == 2 else shape.pixels.astype(np.float64)
-                    self.strand = np.ascontiguousarray(points), found.width
+                    assert found.track is not None
+                    self.strand = np.ascontiguousarray(points), float(found.track.state["seen_width"][0])
                 return shape
         age = clock.now - self._seen_at
         if last is not None and age > config.max_age and found.reason:  # else it is still tracked

@@ -86,19 +86,19 @@ def stages(spec: Configuration, mask: np.ndarray) -> np.ndarray:
     window = Whole().window(SIZE)
     region = find_region(rule.apply(Frame(image, None, None, None), window), window, rule.min_area, rule.min_share)
     found = spec.fit(region, None, None, Scene.in_image(Frame(), Clock(), SIZE, window))
-    assert found.nodes is not None
-    assert found.topology is not None
+    assert found.track is not None
+    nodes, topology = found.track.nodes, found.track.topology
     start = initial_form(spec, region, found.form)
-    path = [found.nodes]
+    path = [nodes]
     if start is not found.form:
-        path.insert(0, start.points[cdist(found.nodes, start.points).argmin(axis=1)])
+        path.insert(0, start.points[cdist(nodes, start.points).argmin(axis=1)])
     detection = ShapeDetector([spec], rule).detect(image)
     pale = np.where(region.mask[..., None] > 0, PALE, PAPER).astype(np.uint8)
     panels = {
         "1  image": enlarged(image),
         "2  mask, as weighted samples": samples(SAMPLES[spec.kind](region), region),
         f"3  cold start: {COLD[spec.kind]}": with_form(pale, start),
-        f"4  {MAP[spec.kind]}, {len(found.nodes)} nodes": with_nodes(pale, path, found.topology),
+        f"4  {MAP[spec.kind]}, {len(nodes)} nodes": with_nodes(pale, path, topology),
         "5  the form through the nodes": with_form(pale, found.form),
         f"6  {spec.layout.size} ordered points, quality {detection.shapes[0].quality:.2f}": draw_detection(
             image, detection, scale=SCALE, size=1.6

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Final, cast
 
 import numpy as np
@@ -13,11 +13,11 @@ import numpy.typing as npt
 from shape_obs.clustering.som import batch_epochs, run_som
 from shape_obs.configurations.base import Configuration, Ends, Points
 from shape_obs.configurations.chain_points import points_along
-from shape_obs.geometry.curve import NO_VALUES, FittedCurve, TrackHints, local_stretch
+from shape_obs.geometry.curve import NO_VALUES, FittedCurve, local_stretch
 from shape_obs.geometry.intersections import crossing_table
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import arc_length, catmull_rom, interpolate
-from shape_obs.geometry.topology import Chain, shrinkage, undo_shrinkage
+from shape_obs.geometry.topology import Chain, undo_shrinkage
 from shape_obs.image.over_under import upper_strands
 from shape_obs.image.region import Region
 from shape_obs.initialization.appearance import Picture
@@ -29,12 +29,11 @@ from shape_obs.initialization.ropes import find_ropes
 from shape_obs.point_cloud.lifting import leave_out_overlaid
 from shape_obs.tracking.judge_chain import is_unclear, reason_of
 from shape_obs.tracking.model import ChainModel
-from shape_obs.tracking.occluders import UNKNOWN_TIPS
-from shape_obs.tracking.predict import Fit, Prediction
-from shape_obs.tracking.register_chain import Expected, direction
+from shape_obs.tracking.predict import NO_NODES, Fit, Prediction, Track, reversed_rope
+from shape_obs.tracking.register_chain import direction
 from shape_obs.tracking.scene import Scene
-from shape_obs.tracking.state import State, new_rope, reversed_rope
-from shape_obs.tracking.step import step_chain_in_mask, step_measured_chain, visible_nodes
+from shape_obs.tracking.state import new_rope
+from shape_obs.tracking.step import Before, step_chain_in_cloud, step_chain_in_mask, visible_nodes
 from shape_obs.tracking.validation import sample_spread
 from shape_obs.utils.lengths import warn_unless_metres
 
@@ -46,11 +45,8 @@ Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 _NODES: Final = (6, 128)  # at least and at most, for a rope of any length
-_MAX_CELL: Final = 24  # pixels: the edge of a cell of a very wide rope
-_MAX_CELLS: Final = 4096  # about; more change nothing and cost time
 _MAX_PIECES: Final = 16  # of a mask: a rope does not fall into more, and joining them costs the cube of their number
 _SHORTEST: Final = 0.005  # metres: a length below is in another unit
-_NO_NODES: Final = np.zeros((0, 2))  # without a track
 
 
 @dataclass(frozen=True)
@@ -105,9 +101,8 @@ class Centerline(Configuration, kind="centerline"):
         found = Fit()
         if prediction is None or prediction.stale:  # nodes that are long out of date pull the chain away
             found = self._fit_initial(observed, prediction, scene)
-        if prediction is not None and (found.form is None or _does_not_fit(found, model.either_end)):
-            sigmas = model.sigmas_steady if prediction.steady else model.sigmas_changed
-            found = self._step(observed, _NO_NODES, sigmas, width, model.max_hidden, prediction, scene)
+        if prediction is not None and (found.track is None or _does_not_fit(found, model.either_end)):
+            found = self._step(observed, NO_NODES, width, model.max_hidden, prediction, scene)
             if (off := _innovation(found)) > model.max_size_change:
                 more = observed.area / max(prediction.track.size * width, 1e-9) if observed.dimension == 2 else 1.0
                 most = model.more_pixels
@@ -116,16 +111,14 @@ class Centerline(Configuration, kind="centerline"):
                 # It is of another length, or the chain lost its way: an initial axis decides.
                 again = self._fit_initial(observed, prediction, scene)
                 fits = not math.isinf(_innovation(again))
-                better = fits and (_innovation(again) <= off or _is_whole(again.form, model.whole_length))
+                better = fits and (_innovation(again) <= off or _is_whole(again, model.whole_length))
                 found = again if better else found
         begins = prediction is None or (prediction.stale and _seems_whole(found))
         if begins and not math.isinf(_innovation(found)):
             curve: FittedCurve = found.form
             numbered = self.apply_index_order(curve, observed.seen(curve.points, target), target)
-            if numbered is not curve:
-                assert found.nodes is not None
-                nodes, log_depth = found.nodes[::-1].copy(), found.log_depth[::-1].copy()
-                found = found._replace(form=numbered, nodes=nodes, log_depth=log_depth)
+            if numbered is not curve and found.track is not None:
+                found = found._replace(form=numbered, track=reversed_rope(found.track, len(curve.points)))
         return found
 
     def _fit_initial(self, observed: Observed, prediction: Prediction | None, scene: Scene) -> Fit:
@@ -137,74 +130,79 @@ class Centerline(Configuration, kind="centerline"):
         count = int(np.clip(round(observed.length / (model.node_spacing * width)), *_NODES))
         start = interpolate(axis.points, axis.arc, (np.arange(count) + 0.5) / count * axis.arc[-1])
         off = axis.unsupported_fraction if prediction is None else model.max_hidden
-        return self._step(observed, start, model.sigmas_initial, observed.width, off, prediction, scene)
+        return self._step(observed, start, observed.width, off, prediction, scene)
 
     def _step(
-        self,
-        observed: Observed,
-        axis: Array,
-        sigmas: tuple[float, ...],
-        width: float,
-        off: float,
-        prediction: Prediction | None,
-        scene: Scene,
+        self, observed: Observed, axis: Array, width: float, off: float, prediction: Prediction | None, scene: Scene
     ) -> Fit:
-        """Follow the rope into this frame, from an initial axis or from where it is predicted, see ``step``."""
-        known, expected, nodes, log_depth, before = self._expected(prediction, width)
-        in_metres = self.spacing == "m"
+        """Follow the rope into this frame, from an initial axis or from where it is predicted, see ``tracking.step``.
+
+        Args:
+            observed: What the rope looks like.
+            axis: ``(K, 2)`` nodes of an initial axis; ``(0, 2)`` starts from the prediction.
+            width: Of the rope.
+            off: The share of its curve that may be bridged or hidden.
+            prediction: What is known of it.
+            scene: The frame.
+        """
+        before, in_metres, model = self._before(prediction, observed.dimension, scene), self.spacing == "m", self.model
         if isinstance(observed, Region):
-            cell = max(int(min(width / 3, _MAX_CELL)), math.isqrt(observed.area // _MAX_CELLS), 1)  # thin ropes keep it
             stepped = step_chain_in_mask(
-                observed.runs, observed.mask, observed.window[:2], (scene.edge or observed.window)[:4], scene.images,
-                scene.lens, axis, *_epochs(sigmas), cell, observed.area, known, expected, nodes, log_depth, before, off,
-                in_metres, self.model.record,
+                observed.runs, observed.mask, observed.window[:4], observed.box[:4],
+                (scene.edge or observed.window)[:4], observed.area, scene.images, scene.lens, axis, float(width), off,
+                in_metres, before, model.record,
             )  # fmt: skip
         else:
-            cloud = cast("Cloud", observed)
-            samples, start = cloud.samples, axis if len(axis) else visible_nodes(nodes, NO_VALUES, known)[0]
-            curve = catmull_rom(cloud.extend_to_tips(run_som(samples, start, Chain(len(start)), sigmas)), 4, False)
-            spread = sample_spread(np.ascontiguousarray(samples.points), np.ascontiguousarray(samples.weight), curve)
-            spread, width = spread + cloud.hidden_variance, cloud.ribbon_width
-            stepped = step_measured_chain(
-                curve, arc_length(curve), ~cloud.carries(curve), NO_VALUES, NO_VALUES, *UNKNOWN_TIPS, spread, width, 0,
-                len(start), known, (0.0, *expected[1:]), nodes, log_depth, before, off, 0.0, in_metres,
-                self.model.record,
-            )  # fmt: skip
-        state, nodes, deep, points, flags, arc, metres, pixels, log_depth = stepped
+            stepped, width = self._step_in_cloud(cast("Cloud", observed), axis, off, prediction, before)
+        state, nodes, velocity, deep, depth_rate, points, flags, arc, metres, pixels, log_depth = stepped
+        first, past = state["shown"][0].tolist()
         curve = FittedCurve(
             points, flags, arc, False, metres, pixels, log_depth, width if observed.dimension == 2 else 0.0,
-            hints=TrackHints(state),
+            shown=(first, past),
         )  # fmt: skip
         topology = prediction.track.topology if prediction is not None else Chain(len(nodes))
+        track = Track(state, nodes, velocity, topology, deep, depth_rate)
         return Fit(
-            curve, float(state["quality"][0]), reason_of(state, observed.noun), nodes, topology,
-            float(state["width"][0]), observed, width, bool(state["follow"][0]), log_depth=deep,
+            curve, float(state["quality"][0]), reason_of(state, observed.noun), track, observed, width,
+            bool(state["follow"][0]),
         )  # fmt: skip
 
-    def _expected(self, prediction: Prediction | None, width: float) -> tuple[State, Expected, Array, Array, Array]:
-        """Return what is known and expected of a rope, as ``step_chain_in_mask`` takes it; its width in pixels."""
-        if prediction is None:
-            expected = float(width), 1.0, 0.0, 0.0, math.inf, 0.0, math.inf, float(width)
-            return new_rope(self.model, self.length or 0.0), expected, _NO_NODES, NO_VALUES, _NO_NODES
-        track = prediction.track
-        expected = (
-            float(width), float(prediction.resolution), float(prediction.stale), float(prediction.motion),
-            float(prediction.seconds), float(prediction.lasted), float(prediction.reach), float(track.width),
+    def _step_in_cloud(
+        self, cloud: Cloud, axis: Array, off: float, prediction: Prediction | None, before: Before
+    ) -> tuple[Any, float]:
+        """Follow the rope into a cloud; return the step, and the width of what is seen."""
+        model, samples, start, sigmas = self.model, cloud.samples, axis, self.model.sigmas_initial
+        if len(axis) == 0 and prediction is not None:
+            known = prediction.track
+            start = visible_nodes(prediction.nodes, NO_VALUES, known.state)[0]
+            steady = abs(cloud.area - int(known.state["area"][0])) <= model.steady * int(known.state["area"][0])
+            sigmas = model.sigmas_steady if steady else model.sigmas_changed
+        curve = catmull_rom(cloud.extend_to_tips(run_som(samples, start, Chain(len(start)), sigmas)), 4, False)
+        spread = sample_spread(np.ascontiguousarray(samples.points), np.ascontiguousarray(samples.weight), curve)
+        stepped = step_chain_in_cloud(
+            curve, ~cloud.carries(curve), spread + cloud.hidden_variance, cloud.ribbon_width, cloud.resolution,
+            cloud.area, len(start), off, self.spacing == "m", before, model.record,
         )  # fmt: skip
-        return track.hints.rope, expected, prediction.nodes, prediction.log_depth, track.nodes
+        return stepped, cloud.ribbon_width
+
+    def _before(self, prediction: Prediction | None, dimension: int, scene: Scene) -> Before:
+        """Return the track before a frame, as ``step_chain_in_mask`` takes it."""
+        if prediction is None:
+            nodes = np.empty((0, dimension))
+            state = new_rope(self.model, self.length or 0.0)
+            return state, nodes, nodes, NO_VALUES, NO_VALUES, scene.clock.now, False, math.inf
+        track, now, _, stale, reach = prediction
+        return track.state, track.nodes, track.velocity, track.log_depth, track.depth_rate, now, stale, reach
 
     def apply_index_order(self, form: FittedCurve, seen: Array, target: Array | None) -> FittedCurve:
         """Return the curve with point 0 at the end nearest the target, else nearest the top left."""
         corner = np.zeros(seen.shape[1]) if target is None else target
         first, last = (float(np.sum((seen[end] - corner) ** 2)) for end in (0, -1))
-        if first <= last:
-            return form
-        hints = TrackHints(reversed_rope(form.hints.rope, len(form.points)))
-        return replace(form.reversed(), hints=hints)
+        return form if first <= last else form.reversed()
 
     def resample(self, form: FittedCurve, metric: FittedCurve) -> Points:
         """Return points with equal chords, from tip to tip or at the centres of N pieces."""
-        first, last = (0, len(form.points)) if form.hints.rope is None else form.hints.rope["shown"][0].tolist()
+        first, last = form.shown or (0, len(form.points))
         return Points(
             *points_along(
                 form.points, form.arc, metric.points, metric.arc, form.metres, form.pixels, form.log_depth,
@@ -218,7 +216,7 @@ class Centerline(Configuration, kind="centerline"):
         masks = step_chain_in_mask, points_along, direction
         masks += sharp_bends, local_stretch, leave_out_overlaid, crossing_table, upper_strands
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
-        clouds += step_measured_chain, visible_nodes
+        clouds += step_chain_in_cloud, visible_nodes
         return masks + AXIS_FUNCTIONS + clouds
 
 
@@ -233,29 +231,25 @@ def _rejection_reason(observed: Observed, width: float, aspect: float) -> str:
     return ""
 
 
-@lru_cache(maxsize=16)
-def _epochs(sigmas: tuple[float, ...]) -> tuple[Array, float]:
-    """Return the widths of the map's neighbourhood as an array, and how far averaging pulls the nodes at the end."""
-    return np.array(sigmas, dtype=np.float64), shrinkage(sigmas[-1])
-
-
 def _does_not_fit(found: Fit, either_end: float) -> bool:
     """Return whether an initial curve does not fit, for another reason than that it is not clear which piece it is."""
-    return math.isinf(_innovation(found)) and not is_unclear(found.form.hints.rope, either_end)
+    assert found.track is not None
+    return math.isinf(_innovation(found)) and not is_unclear(found.track.state, either_end)
 
 
 def _innovation(found: Fit) -> float:
     """Return by which share of the rope's length other parts are hidden than before; infinity if nothing fits."""
-    return math.inf if found.form is None else float(found.form.hints.rope["innovation"][0])
+    return math.inf if found.track is None else float(found.track.state["innovation"][0])
 
 
-def _is_whole(form: FittedCurve, share: float) -> bool:
+def _is_whole(found: Fit, share: float) -> bool:
     """Return whether a form is as long in space as its rope, but for a share, and nothing of it is hidden."""
-    rope = form.hints.rope
-    return len(form.metres) > 0 and not rope["hides"][0] and abs(rope["stretch"][0] - 1) <= share
+    assert found.track is not None
+    rope = found.track.state
+    return len(found.form.metres) > 0 and not rope["hides"][0] and abs(rope["stretch"][0] - 1) <= share
 
 
 def _seems_whole(found: Fit) -> bool:
     """Return whether no more of a rope is hidden than noise explains."""
-    rope = None if found.form is None else found.form.hints.rope
+    rope = None if found.track is None else found.track.state
     return rope is not None and max(rope["hidden"][0]) <= rope["tolerance"][0]

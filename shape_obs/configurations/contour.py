@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Final, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.configurations.base import Configuration, Points
-from shape_obs.geometry.curve import NO_VALUES, FittedCurve, TrackHints
+from shape_obs.geometry.curve import NO_VALUES, FittedCurve
 from shape_obs.geometry.observed import Observed, Samples
 from shape_obs.geometry.outline import SAMPLED, clockwise, material_outline
 from shape_obs.geometry.polyline import (
@@ -28,19 +28,24 @@ from shape_obs.image.outline_tracing import trace_hole
 from shape_obs.image.region import Region
 from shape_obs.tracking.measure_ring import MIN_SAMPLES, fit_ring_in_cloud, nodes_around
 from shape_obs.tracking.model import RingModel
-from shape_obs.tracking.predict import Fit, Prediction
+from shape_obs.tracking.predict import Before, Fit, Prediction, Track, extrapolated, known_before
 from shape_obs.tracking.register_ring import first_place
 from shape_obs.tracking.scene import Scene
-from shape_obs.tracking.step_ring import FOUND, NO_HOLE, NOT_HOLLOW, TOO_SMALL, RingStep, follow_ring, step_ring_in_mask
+from shape_obs.tracking.step_ring import (
+    FOUND,
+    NO_HOLE,
+    NOT_HOLLOW,
+    TOO_SMALL,
+    RingStep,
+    step_ring_in_cloud,
+    step_ring_in_mask,
+)
 from shape_obs.tracking.validation import validate_outline
 
 if TYPE_CHECKING:
     from shape_obs.point_cloud.cloud import Cloud
 
 Array = npt.NDArray[np.float64]
-
-_NOTHING: Final = np.zeros((0, 2))  # no nodes
-_NOWHERE: Final = np.zeros((0, 3))  # no places in space
 
 
 @dataclass(frozen=True)
@@ -77,53 +82,44 @@ class Contour(Configuration, kind="contour"):
 
     def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Fit a ring of nodes to this frame's own outline; number it as the track does, or by the paper's rule."""
-        region = observed if isinstance(observed, Region) else None
-        nodes, known, lasted = _NOTHING, None, 0.0
-        if prediction is not None:
-            nodes, known, lasted = prediction.nodes, prediction.track.hints.reference, prediction.lasted
-        given = nodes, _NOTHING if known is None else known
-        if region is not None:
-            own, around = scene.around(region)
+        before = known_before(prediction, observed.dimension, scene.clock.now)
+        if isinstance(observed, Region):
+            own, around = scene.around(observed)
             step = step_ring_in_mask(
-                *own, *around, -1 if self.hole is None else self.hole, self.ring,
-                NO_VALUES if target is None else target, *given, lasted, self.model.record,
+                *own, *around, observed.box[:4], observed.area, -1 if self.hole is None else self.hole, self.ring,
+                NO_VALUES if target is None else target, before, self.model.record,
             )  # fmt: skip
         else:
-            step = self._step_in_cloud(cast("Cloud", observed), prediction, target, *given)
-        (points, space, arc, nodes, known, turning, unseen), why, miss, samples, width = step
+            step = self._step_in_cloud(cast("Cloud", observed), prediction, target, before)
+        (state, nodes, velocity, known, points, space, arc, unseen, miss), why, samples, width = step
         if why != FOUND:
             return Fit(reason=self._rejection_reason(why, observed, samples, width))
         reason, quality = validate_outline(observed, np.inf if unseen else miss, self.model)
-        form = FittedCurve(
-            points, np.zeros(len(points), bool), arc, True,
-            space=space if len(space) else None,
-            hints=TrackHints(reference=known if len(known) else None, turning=turning),
-        )  # fmt: skip
-        return Fit(form, quality, reason, nodes, Ring(len(nodes)), width, observed, width)
+        flags, space = np.zeros(len(points), bool), space if len(space) else None
+        form = FittedCurve(points, flags, arc, True, space=space)
+        track = Track(state, nodes, velocity, Ring(len(nodes)), reference=known)
+        return Fit(form, quality, reason, track, observed, width)
 
     def _step_in_cloud(
-        self, cloud: Cloud, prediction: Prediction | None, target: Array | None, nodes: Array, known: Array
+        self, cloud: Cloud, prediction: Prediction | None, target: Array | None, before: Before
     ) -> RingStep:
         """Follow an outline into a cloud, or find it there; see ``step_ring_in_mask``."""
         samples, outline = cloud.outline_samples(), np.ascontiguousarray(cloud.outline_curve().points)
         why = NO_HOLE if self.hole is not None else TOO_SMALL if len(outline) < MIN_SAMPLES else FOUND
         if why != FOUND:
-            return (outline, outline, NO_VALUES, nodes, known, 0.0, True), why, np.inf, len(outline), 0.0
-        count = len(nodes) if len(nodes) else nodes_around(len(outline), self.model.node_spacing)
-        start = outline[0] if prediction is None else nodes[0]
+            return (*before[:4], outline, outline, NO_VALUES, True, np.inf), why, len(outline), 0.0
+        count, start = nodes_around(len(outline), self.model.node_spacing), outline[0]
+        if prediction is not None:
+            nodes = prediction.nodes
+            count, start = len(nodes), nodes[0]
         points, miss = fit_ring_in_cloud(
             np.ascontiguousarray(samples.points), samples.weight, samples.scale, outline, start, count, self.model.sigma
         )
         if prediction is None:
             curve = FittedCurve.through(points, np.zeros(len(points), bool), True)
-            curve = self.apply_index_order(curve, cloud.seen(points, target), target)
-            found = curve.points, _NOWHERE, curve.arc, curve.even(count), known, self.model.velocity_share, False
-        else:
-            found = follow_ring(
-                points, _NOWHERE, np.zeros(len(points), bool), nodes, known, cloud.resolution, NO_VALUES,
-                prediction.lasted, self.model.record,
-            )  # fmt: skip
-        return found, why, miss, len(outline), 0.0
+            points = self.apply_index_order(curve, cloud.seen(points, target), target).points
+        stepped = step_ring_in_cloud(points, count, miss, cloud.resolution, cloud.area, before, self.model.record)
+        return stepped, why, len(outline), 0.0
 
     def _rejection_reason(self, why: int, observed: Observed, samples: int, width: float) -> str:
         """Return in words why an object has no such outline."""
@@ -157,7 +153,7 @@ class Contour(Configuration, kind="contour"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        clouds = nodes_around, fit_ring_in_cloud, follow_ring, arc_length, catmull_rom, interpolate
+        clouds = nodes_around, fit_ring_in_cloud, step_ring_in_cloud, arc_length, catmull_rom, interpolate
         clustered = trace_hole, material_outline
         return step_ring_in_mask, *clouds, *clustered, first_place, starting_at, points_around
 

@@ -35,7 +35,9 @@ _HALF_ROUND: Final = np.pi / 4  # radii by which a fit to the visible half of a 
 _SMOOTH: Final = 3.0  # points of the fine curve, over which its direction is taken
 
 
-def shape_of(spec: Configuration, found: Fit, scene: Scene, last: Shape | None, policy: OnInvalid) -> Shape:
+def shape_of(
+    spec: Configuration, found: Fit, scene: Scene, last: Shape | None, policy: OnInvalid, number: int
+) -> Shape:
     """Return the shape of a fit, with a reason if it cannot be right.
 
     Args:
@@ -44,6 +46,7 @@ def shape_of(spec: Configuration, found: Fit, scene: Scene, last: Shape | None, 
         scene: Depth and camera, for a mask.
         last: The shape when it was last found.
         policy: What becomes of points without depth.
+        number: Of its track.
     """
     if found.observed.dimension == 2:
         points2d, points3d, visible, valid, sigma = _points_in_image(spec, found, scene)
@@ -57,7 +60,7 @@ def shape_of(spec: Configuration, found: Fit, scene: Scene, last: Shape | None, 
     quality = found.quality * (known / len(valid))
     return Shape(
         spec.name, points2d, points3d, visible, valid, spec.layout, quality=quality, sigma=sigma, reason=reason,
-        length=_length_of(found), track_id=found.track_id, new=last is None or last.track_id != found.track_id,
+        length=_length_of(found), track_id=number, new=last is None or last.track_id != number,
     )  # fmt: skip
 
 
@@ -87,7 +90,7 @@ def _doubt(
 
 def _length_of(found: Fit) -> float | None:
     """Return the length of a curve in metres, as its track remembers it; None if it is not known."""
-    rope = found.form.hints.rope
+    rope = None if found.track is None else found.track.rope
     if rope is not None and rope["metres"][0] > 0:
         return float(rope["metres"][0])
     return found.size if found.observed.dimension == 3 and isinstance(found.form, FittedCurve) else None
@@ -126,8 +129,7 @@ def _points_in_image(spec: Configuration, found: Fit, scene: Scene) -> Seen:
 
 def _is_bridged(curve: FittedCurve) -> bool:
     """Return whether a piece of a curve is interpolated over which points are spread."""
-    rope = curve.hints.rope
-    first, past = (0, len(curve.points)) if rope is None else rope["shown"][0].tolist()
+    first, past = curve.shown or (0, len(curve.points))
     return bool(curve.interpolated[first:past].any())
 
 

@@ -13,7 +13,7 @@ from shape_obs.clustering.som import batch_epochs
 from shape_obs.configurations.base import Configuration, Ends, Points
 from shape_obs.configurations.sheet_map import moved_inside
 from shape_obs.geometry.coons import FINE
-from shape_obs.geometry.curve import NO_VALUES, TrackHints
+from shape_obs.geometry.curve import NO_VALUES
 from shape_obs.geometry.lattice import FittedLattice, lattice_gauges, sample_lattice, uneven_places
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.outline import material_outline
@@ -24,18 +24,26 @@ from shape_obs.image.region import Region
 from shape_obs.tracking.isometry import Isometry, isometry_in_image, isometry_in_space
 from shape_obs.tracking.measure_lattice import match_lattices, patch_in_cloud
 from shape_obs.tracking.model import LatticeModel
-from shape_obs.tracking.predict import Fit, Prediction
+from shape_obs.tracking.predict import (
+    NO_BOX,
+    NO_NODES,
+    Before,
+    Fit,
+    Prediction,
+    Track,
+    known_before,
+    turned_sheet,
+)
 from shape_obs.tracking.scene import Scene
-from shape_obs.tracking.step_lattice import step_sheet
+from shape_obs.tracking.step_lattice import advance_sheet, step_sheet
 from shape_obs.tracking.validation import NO_CORNERS, NO_FAULT, judge_sheet, sheet_fault
 
 Array = npt.NDArray[np.float64]
 
 _GRID: Final = Grid(FINE, FINE)  # the nodes that are kept from frame to frame, for any lattice that is sampled
-_NO_NODES, _NO_SIDES = np.empty((0, 2)), np.zeros(4)  # without a track
 _COMPILED: Final = (
-    step_sheet, patch_in_cloud, match_lattices, judge_sheet, isometry_in_image, isometry_in_space, lattice_gauges,
-    sample_lattice, uneven_places, arc_length, interpolate, material_outline,
+    step_sheet, advance_sheet, patch_in_cloud, match_lattices, judge_sheet, isometry_in_image,
+    isometry_in_space, lattice_gauges, sample_lattice, uneven_places, arc_length, interpolate, material_outline,
 )  # fmt: skip
 
 
@@ -82,46 +90,45 @@ class Surface(Configuration, kind="surface"):
 
     def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Lay a Coons patch between the predicted corners; put back what is hidden; else take the best four corners."""
+        before = known_before(prediction, observed.dimension, scene.clock.now)
         if isinstance(observed, Region):
-            found = self._fit_in_image(observed, prediction, scene)
+            found = self._fit_in_image(observed, before, scene)
         else:
-            found = self._fit_in_cloud(observed, prediction)
-        if found.reason:
+            found = self._fit_in_cloud(observed, prediction, before)
+        if found.track is None:
             return found
+        form, track = found.form, found.track
         if prediction is None:
-            form = self.apply_index_order(found.form, observed.seen(found.form.points, target), target)
-            found = found._replace(form=form, nodes=form.points)
+            quarters = self._quarters(form.with_points(observed.seen(form.points, target)), target)
+            form, track = form.turned(quarters), turned_sheet(track, quarters)
+        box, area = observed.box[:4] if observed.box else NO_BOX, observed.area if form.whole else 0
+        moved = form.size, found.object_width if observed.dimension == 2 else 0.0, box, area
+        velocity = advance_sheet(track.state, form.points, *moved, before, self.model.record)
+        found = found._replace(form=form, track=track._replace(nodes=form.points, velocity=velocity))
         return self._judge_isometry(found, observed, prediction is not None, scene)
 
-    def _fit_in_image(self, region: Region, prediction: Prediction | None, scene: Scene) -> Fit:
+    def _fit_in_image(self, region: Region, before: Before, scene: Scene) -> Fit:
         """Fit a sheet in a mask, in one compiled call."""
         own, around = scene.around(region)
-        nodes, known, sides, lasted = _NO_NODES, None, None, 0.0
-        if prediction is not None:
-            nodes, known, sides = prediction.nodes, prediction.track.hints.reference, prediction.track.hints.sides
-            lasted = prediction.lasted
-        fault, quality, lattice, hidden, known, sides, down, right, width = step_sheet(
-            *own, *around, nodes, _NO_NODES if known is None else known,
-            _NO_SIDES if sides is None else sides, lasted, (self.rows, self.cols), self.freedom, self.model.record,
-        )  # fmt: skip
-        reason = self._rejection_reason(region, width, prediction is not None) or sheet_fault(fault, Region.noun)
+        fault, quality, lattice, hidden, state, known, down, right, width = step_sheet(
+            *own, *around, (self.rows, self.cols), self.freedom, before, self.model.record
+        )
+        reason = self._rejection_reason(region, width, len(before[1]) > 0) or sheet_fault(fault, Region.noun)
         if reason:
             return Fit(reason=reason)
-        form = FittedLattice(lattice, hidden, (down, right), FINE, hints=TrackHints(reference=known, sides=sides))
-        return self._finish(form, quality, region, width)
+        form = self._evened(FittedLattice(lattice, hidden, (down, right), FINE), region)
+        return Fit(form, quality, "", Track(state, lattice, lattice, _GRID, reference=known), region, width)
 
-    def _finish(self, form: FittedLattice, quality: float, observed: Observed, width: float) -> Fit:
-        """Return the fit of a lattice, its inside moved with the map where there are ``epochs`` of it."""
-        if self.epochs:
-            form = form.with_points(form.points + moved_inside(form, observed, self.epochs))
-        return Fit(form, quality, "", form.points, _GRID, width, observed, width)
+    def _evened(self, form: FittedLattice, observed: Observed) -> FittedLattice:
+        """Return a lattice, its inside moved with the map where there are ``epochs`` of it."""
+        return form.with_points(form.points + moved_inside(form, observed, self.epochs)) if self.epochs else form
 
-    def _fit_in_cloud(self, observed: Observed, prediction: Prediction | None) -> Fit:
+    def _fit_in_cloud(self, observed: Observed, prediction: Prediction | None, before: Before) -> Fit:
         """Lay the patch over a sheet that is unrolled: between the corners nearest to those predicted, or the best."""
         reason = self._rejection_reason(observed, observed.width, prediction is not None)
         if reason:
             return Fit(reason=reason)
-        nodes = _NO_NODES if prediction is None else prediction.nodes
+        nodes = NO_NODES if prediction is None else prediction.nodes
         outline, flat = (np.ascontiguousarray(each, dtype=np.float64) for each in observed.sheet_outline())
         fault = NO_CORNERS, 0, 0.0, 0.0
         for best in (False, True) if len(nodes) else (True,):
@@ -130,8 +137,7 @@ class Surface(Configuration, kind="surface"):
             if not len(patch):
                 continue
             form = FittedLattice.over(observed.to_space(patch), np.zeros(len(patch), bool), FINE)
-            found = self._finish(form, 0.0, observed, 0.0)
-            form = found.form
+            form = self._evened(form, observed)
             if len(nodes):
                 quarters, number, moved = match_lattices(nodes, form.points)
                 form = form.turned(quarters)
@@ -139,7 +145,8 @@ class Surface(Configuration, kind="surface"):
             off = float(form.interpolated.mean())
             fault, quality = judge_sheet(off, measures, kink, number, moved, self.freedom, self.model.record)
             if fault[0] == NO_FAULT:
-                return found._replace(form=form, quality=quality, nodes=form.points)
+                track = Track(before[0].copy(), form.points, form.points, _GRID, reference=before[3])
+                return Fit(form, quality, "", track, observed)
         return Fit(reason=sheet_fault(fault, observed.noun))
 
     def _judge_isometry(self, found: Fit, observed: Observed, tracked: bool, scene: Scene) -> Fit:
@@ -179,14 +186,17 @@ class Surface(Configuration, kind="surface"):
 
     def apply_index_order(self, form: FittedLattice, seen: Array, target: Array | None) -> FittedLattice:
         """Return the lattice with its first corner nearest the target; else rows run right and columns down."""
+        return form.turned(self._quarters(form.with_points(seen), target))
+
+    def _quarters(self, seen: FittedLattice, target: Array | None) -> int:
+        """Return how many corners further on, clockwise, the paper's rule puts the first corner of a lattice."""
         if target is not None:
-            corners = form.with_points(seen).corners
-            return form.turned(int(np.argmin(np.sum((corners - target) ** 2, axis=1))))
-        lattice = form.with_points(seen).lattice
+            return int(np.argmin(np.sum((seen.corners - target) ** 2, axis=1)))
+        lattice = seen.lattice
         right, down = (lattice[:, -1] - lattice[:, 0]).mean(axis=0), (lattice[-1] - lattice[0]).mean(axis=0)
         right, down = (way / max(float(np.linalg.norm(way)), 1e-9) for way in (right, down))
         level, upright = right[0] + down[1], down[0] - right[1]
-        return form.turned(int(np.argmax([level, upright, -level, -upright])))
+        return int(np.argmax([level, upright, -level, -upright]))
 
     def resample(self, form: FittedLattice, metric: FittedLattice) -> Points:
         """Return points with equal gaps down and across, on the mean over the lattice."""

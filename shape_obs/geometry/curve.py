@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -23,24 +23,6 @@ _SMOOTHING: Final = 9  # points of a fine curve
 NO_VALUES: Final = np.zeros(0)  # of any unit
 
 
-class TrackHints(NamedTuple):
-    """What a form passes on to the next frame in addition to its nodes.
-
-    Args:
-        rope: ``(1,)`` what is known of an open curve, see ``RopeState``; else None.
-        reference: ``(K, D)`` nodes of the past that a closed curve was numbered by, or the points of a lattice in
-            space; else None.
-        turning: How far the turning of a closed curve can be believed, 0...1; None if it has not been compared.
-        sides: ``(4,)`` the lengths of a sheet's sides as they are remembered, metres where the reference is in space;
-            else None.
-    """
-
-    rope: Any = None
-    reference: Array | None = None
-    turning: float | None = None
-    sides: Array | None = None
-
-
 @dataclass(frozen=True, eq=False)
 class FittedForm(ABC):
     """Ordered points of a curve or a surface.
@@ -48,13 +30,11 @@ class FittedForm(ABC):
     Args:
         points: ``(P, D)`` pixels (D = 2) or metres (D = 3).
         interpolated: ``(P,)`` bool: nothing of the object was seen there (a gap, or an end that is hidden).
-        hints: What the track stores in addition to the nodes.
         ambiguity: Why an initial form may be wrong; empty if it is not in doubt.
     """
 
     points: Array
     interpolated: Mask
-    hints: TrackHints = field(default=TrackHints(), kw_only=True)
     ambiguity: str = field(default="", kw_only=True)
 
     @property
@@ -91,6 +71,8 @@ class FittedCurve(FittedForm):
             ``(0,)``.
         width: Of the object, in the unit of ``points``; 0 if it is not known.
         space: ``(P, 3)`` where the points of a closed curve in an image lie in space, metres; None if it is not known.
+        shown: The first point of an open curve over which a shape's are spread, and the one past the last; None for all
+            of it.
     """
 
     arc: Array
@@ -100,6 +82,7 @@ class FittedCurve(FittedForm):
     log_depth: Array = field(default_factory=lambda: NO_VALUES)
     width: float = 0.0
     space: Array | None = None
+    shown: tuple[int, int] | None = None
 
     @classmethod
     def through(cls, points: Array, interpolated: Mask, closed: bool = False, **other: Any) -> Self:
@@ -152,7 +135,9 @@ class FittedCurve(FittedForm):
         if not self.closed:
             metres, pixels = (along[-1:] - along[::-1] for along in (self.metres, self.pixels))
             back = self.with_geometry(self.points[::-1].copy(), self.interpolated[::-1].copy())
-            return replace(back, metres=metres, pixels=pixels, log_depth=self.log_depth[::-1].copy())
+            count, shown = len(self.points), self.shown
+            shown = None if shown is None else (count - shown[1], count - shown[0])
+            return replace(back, metres=metres, pixels=pixels, log_depth=self.log_depth[::-1].copy(), shown=shown)
         back = -np.arange(len(self.points))
         return self.with_geometry(self.points[back], self.interpolated[back])
 

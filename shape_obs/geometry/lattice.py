@@ -74,17 +74,12 @@ class FittedLattice(FittedForm):
         """Return the same lattice with its first corner ``quarters`` corners further on, clockwise."""
         if quarters == 0:
             return self
-        lattice, hints = np.rot90(self.lattice, quarters), self.hints
+        lattice = np.rot90(self.lattice, quarters)
         flags = np.rot90(self.interpolated.reshape(self.rows, -1), quarters).ravel()
         points = np.ascontiguousarray(lattice).reshape(self.points.shape)
         gauges = _gauges(points, len(lattice))
-        if hints.reference is not None:
-            known = np.rot90(hints.reference.reshape(self.rows, -1, hints.reference.shape[1]), quarters)
-            hints = hints._replace(reference=np.ascontiguousarray(known).reshape(hints.reference.shape))
-        if hints.sides is not None:
-            hints = hints._replace(sides=np.roll(hints.sides, -quarters))
         off = None if self.off is None else np.rot90(self.off.reshape(self.rows, -1), quarters).ravel()
-        return replace(self, points=points, interpolated=flags, gauges=gauges, rows=len(lattice), off=off, hints=hints)
+        return replace(self, points=points, interpolated=flags, gauges=gauges, rows=len(lattice), off=off)
 
     def smoothed(self, values: Array, known: Mask) -> Array:
         """Fill ``(P,)`` values by the nearest known ones, and smooth them over 3 x 3 points by local planes."""

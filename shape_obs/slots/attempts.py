@@ -13,7 +13,7 @@ from shape_obs.geometry.observed import Observed
 from shape_obs.image.region import Region
 from shape_obs.image.sharing import CLOSE, share
 from shape_obs.tracking.exchanges import exchange_gain
-from shape_obs.tracking.predict import Fit, Prediction, Track, length_in_image
+from shape_obs.tracking.predict import Fit, Prediction, Track
 from shape_obs.tracking.scene import Scene
 from shape_obs.tracking.scene_doubt import (
     TURN,
@@ -81,9 +81,9 @@ def doubt_of(seen: Seen, tries: list[Attempt | None], *, apart: bool = False) ->
     )
     bent = grown = 0.0
     for track, each in zip(seen.tracks, tries, strict=True):
-        if each is not None and each.found.nodes is not None and track is not None and each.is_found:
-            bent += more_bent(each.found.nodes, track.nodes, each.found.object_width)
-            size = (each.found.form.points.shape[1] == 2 and length_in_image(track)) or track.size
+        if each is not None and each.found.track is not None and track is not None and each.is_found:
+            bent += more_bent(each.found.track.nodes, track.nodes, each.found.object_width)
+            size = (each.found.form.points.shape[1] == 2 and track.length_in_image) or track.size
             grown += max(abs(each.found.size - size) / each.found.object_width - _STEADY, 0.0)
     if not apart:
         strands = [(found.form, found.object_width) for found in forms if found.form.points.shape[1] == 2]
@@ -99,8 +99,8 @@ def price_of(seen: Seen, tries: list[Attempt | None], doubt: float) -> float:
     """Return what speaks against fits, and how far they are from where the tracks go, in widths, or changed sides."""
     price = doubt + changes_of_sides(seen, tries)
     for each, ahead in zip(tries, seen.ahead, strict=True):
-        if each is not None and ahead is not None and each.is_found and each.found.nodes is not None:
-            step = in_image(each.found.nodes, seen.scene) - ahead
+        if each is not None and ahead is not None and each.is_found and each.found.track is not None:
+            step = in_image(each.found.track.nodes, seen.scene) - ahead
             price += float(np.sqrt(np.mean(np.sum(step * step, axis=1)))) / max(each.found.object_width, 1.0)
     return price
 
@@ -108,9 +108,9 @@ def price_of(seen: Seen, tries: list[Attempt | None], doubt: float) -> float:
 def changes_of_sides(seen: Seen, tries: list[Attempt | None]) -> int:
     """Return how many pairs of ropes have changed sides."""
     placed = [
-        (last, in_image(each.found.nodes, seen.scene), each.found.object_width)
+        (last, in_image(each.found.track.nodes, seen.scene), each.found.object_width)
         for each, last in zip(tries, seen.last, strict=True)
-        if each is not None and last is not None and each.is_found and each.found.nodes is not None
+        if each is not None and last is not None and each.is_found and each.found.track is not None
     ]
     return sum(
         changed_sides(before, other_before, after, other_after, width)

@@ -127,13 +127,13 @@ def lying_of(seen: Seen, tries: Sequence[Attempt | None], met: Sequence[int]) ->
     """
     lying: list[Lying | None] = []
     for k, (each, track) in enumerate(zip(tries, seen.tracks, strict=True)):
-        if each is None or track is None or not each.is_found or each.found.nodes is None:
+        if each is None or track is None or not each.is_found or each.found.track is None:
             lying.append(None)
             continue
-        form, nodes = each.found.form, each.found.nodes
+        form, nodes = each.found.form, each.found.track.nodes
         apart = k not in met and form.points.shape[1] == 2
         visible = form.size * (1 - form.unsupported_fraction) if apart else 0.0
-        lying.append(Lying(nodes, in_image(nodes, seen.scene), visible, track.hints.rope))
+        lying.append(Lying(nodes, in_image(nodes, seen.scene), visible, track.rope))
     return lying
 
 
@@ -161,13 +161,10 @@ def moved(own: Track, other: Track, before: Lying) -> Track:
     """
     nodes = _laid_onto(before.nodes, other.nodes)
     velocity = np.broadcast_to(other.velocity.mean(axis=0), nodes.shape).copy()
-    rope = None if own.hints.rope is None else own.hints.rope.copy()
-    if rope is not None:
-        rope["hidden"] = rope["hides"] = rope["occluded"] = rope["folded"] = rope["drift"] = 0
-    hints = own.hints._replace(rope=rope)
-    return own._replace(
-        nodes=nodes, velocity=velocity, hints=hints, box=other.box, log_depth=NO_VALUES, depth_rate=NO_VALUES
-    )
+    state = own.state.copy()
+    state["box"] = other.state["box"]
+    state["hidden"] = state["hides"] = state["occluded"] = state["folded"] = state["drift"] = 0
+    return own._replace(state=state, nodes=nodes, velocity=velocity, log_depth=NO_VALUES, depth_rate=NO_VALUES)
 
 
 def _laid_onto(own: Array, other: Array) -> Array:

@@ -34,7 +34,7 @@ from shape_obs.slots.attempts import (
 from shape_obs.slots.passages import Lying, Passages, better, change_of_headings, lying_of, moved
 from shape_obs.tracker import Tracker
 from shape_obs.tracking.exchanges import meetings
-from shape_obs.tracking.predict import Fit, length_in_image
+from shape_obs.tracking.predict import Fit
 from shape_obs.tracking.scene import Scene
 from shape_obs.tracking.scene_doubt import NEXT_TO, bending_energy, nearest_distances, side_distances
 from shape_obs.tracking.seats import add_pieces, near_tracks, seat_others, seat_tracked
@@ -125,7 +125,7 @@ class Slots:
 
     def _seen(self, region: Region, scene: Scene) -> Seen:
         """Return a frame, with where the tracks are and go."""
-        expected = [tracker.expect(region, scene) for tracker in self.trackers]
+        expected = [tracker.expect(scene) for tracker in self.trackers]
         tracks = [tracker.track for tracker in self.trackers]
         ahead, last = ([each and in_image(each.nodes, scene) for each in row] for row in (expected, tracks))
         return Seen(region, scene, tracks, expected, ahead, last)
@@ -199,7 +199,8 @@ class Slots:
             0.0 if each is None else NEXT_TO * width if each.stale else far * min(each.intervals, _MISSED)
             for each in seen.expected
         ]
-        lengths = [length_in_image(track) or math.inf for track in seen.tracks]
+        lengths = [track.length_in_image if track else 0.0 for track in seen.tracks]
+        lengths = [length or math.inf for length in lengths]
         seats = seat_tracked(objects, seen.ahead, reach, lengths)
         free = [k for k, each in enumerate(seen.expected) if each is None or each.stale]
         targets = [tracker.target(seen.scene) for tracker in self.trackers]
@@ -237,15 +238,13 @@ class Slots:
             assert scene.depth is not None
             assert scene.intrinsics is not None
             observed = deproject(part, scene.depth, scene.intrinsics)
-        prediction = tracker.expect(observed, seen.scene)
+        prediction = tracker.expect(scene)
         if part.refusal:
             return Attempt(Fit(reason=part.refusal), observed, prediction)
         found = tracker.spec.fit(observed, prediction, tracker.target(seen.scene), scene)
-        known = None if prediction is None else prediction.track.hints.rope
-        if meets and known is not None and known["frames"][0] > 0 and found.form is not None:
-            rope = found.form.hints.rope.copy()
-            rope[LENGTH] = known[LENGTH]
-            found = found._replace(form=replace(found.form, hints=found.form.hints._replace(rope=rope)))
+        known = None if prediction is None else prediction.track.rope
+        if meets and known is not None and known["frames"][0] > 0 and found.track is not None:
+            found.track.state[LENGTH] = known[LENGTH]
         return Attempt(found, observed, prediction)
 
 

@@ -22,11 +22,11 @@ from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.image.over_under import depth_at
 from shape_obs.initialization.corners import nearest_of
 from shape_obs.point_cloud.local_depth import bridged, median_depth
+from shape_obs.tracking.predict import Box
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
-Edges = tuple[int, int, int, int]
 
 _OUTSIDE: Final = 1.5  # pixels from an outline to the first place beyond it, whose pixel is not the object's own
 _LIES_OVER: Final = 0.3  # of the outline where a corner is hidden: next to so much of it something nearer is seen
@@ -254,7 +254,7 @@ def hide_folded(folded: Indices, sides: Array, hidden: Mask) -> None:
 
 @compiled
 def outline_depth(
-    depth: DepthImages, edge: Edges, mask: npt.NDArray[np.uint8], left: int, top: int, outline: Array, width: float,
+    depth: DepthImages, edge: Box, mask: npt.NDArray[np.uint8], left: int, top: int, outline: Array, width: float,
     model: Any,
 ) -> tuple[Array, Mask]:  # fmt: skip
     """Return the depth along an outline, and where the object may go on beyond it.

@@ -87,7 +87,7 @@ def judge_chain(
     """
     missing = _interpolated_share(arc, flags)
     hidden, seen = min(missing, off), 1 - missing
-    now.width = max(area / max(arc[-1] * seen, 1e-9), 1.0) if area > 0 else 0.0
+    now.seen_width = max(area / max(arc[-1] * seen, 1e-9), 1.0) if area > 0 else 0.0
     ratio = math.sqrt(spread) / max(max(area / max(arc[-1] * (1 - hidden), 1e-9), 1.0) if area > 0 else width, 1e-9)
     excess = (ratio - _IDEAL_SCATTER) / (model.max_scatter - _IDEAL_SCATTER)
     now.follow, now.quality = False, 0.0

@@ -18,7 +18,7 @@ from shape_obs.compiled import compiled
 from shape_obs.frame import DepthImages
 from shape_obs.geometry.curve import first_coordinates, with_log_depth
 from shape_obs.geometry.polyline import arc_length, catmull_rom, even_points, nearest_piece
-from shape_obs.geometry.topology import undo_shrinkage
+from shape_obs.geometry.topology import pull_of, undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells, near_mask
 from shape_obs.image.rope_tip import extend_chain, rims_of, without_ends
 from shape_obs.point_cloud.chain_length import lift_chain
@@ -45,7 +45,6 @@ def fit_chain_in_mask(
     start: Array,
     log_depth: Array,
     sigmas: Array,
-    pull: float,
     cell: int,
     width: float,
     depth: DepthImages,
@@ -62,7 +61,6 @@ def fit_chain_in_mask(
         start: ``(K, 2)`` nodes, pixels.
         log_depth: ``(K,)`` their log_depth, if there is depth; ``(0,)`` if it is not known.
         sigmas: Width of the map's neighbourhood in each epoch, node units.
-        pull: How far averaging pulls the nodes, see ``topology.shrinkage``.
         cell: Edge of the squares in which pixels are gathered.
         width: The rope's width, pixels.
         depth: The frame's, see ``frame.depth_images``; both empty without depth or a camera.
@@ -88,7 +86,8 @@ def fit_chain_in_mask(
     if len(log_depth) > 0:
         nodes, sigmas = batch_epochs(points, weight, start, line, False, sigmas[:1]), sigmas[1:]
         _level_rims(points, nodes, model.off_axis * width)
-    nodes = undo_shrinkage(batch_epochs(points, weight, nodes, line, False, sigmas), pull, False)
+    nodes = batch_epochs(points, weight, nodes, line, False, sigmas)
+    nodes = undo_shrinkage(nodes, pull_of(sigmas[-1]), False)
     flat = extend_chain(first_coordinates(nodes, 2), mask, at[0], at[1], width)
     lifted = catmull_rom(flat if nodes.shape[1] == 2 else _with_log_depth(flat, nodes), 4, False)
     curve = first_coordinates(lifted, 2)

@@ -39,10 +39,6 @@ class MotionModel:
     min_seen: float = 0.3  # of an object: so much has to be in sight to report it
     nearer: float = 0.008  # metres: what is nearer than an object by more, besides its slope, is over it
 
-    def lasted(self, seconds: float) -> float:
-        """Return for how many seconds a frame counts in what is learnt, that many after the last one."""
-        return min(max(seconds, 0.0), self.longest_interval)
-
     @cached_property
     def record(self) -> Model:
         """``(1,)`` the same as compiled code takes it."""

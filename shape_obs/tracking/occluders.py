@@ -31,8 +31,6 @@ _SPARSE: Final = 12.0  # pixels: from this reach on every second row and column 
 _AT_BORDER: Final = 2  # rows or columns at a border: what leaves the image there covers some of them
 _TURNS: Final = (0.0, -0.25, 0.25, -0.5, 0.5)  # tangents of how far to the side; what is cut askew seems to turn
 
-UNKNOWN_TIPS: Final = (UNKNOWN, UNKNOWN), np.zeros((0, 2))  # what ``chain_evidence`` would return of a cloud
-
 
 @compiled
 def remember_tips(tips: Array, shapes: Array, width: float, model: Any) -> None:

@@ -1,4 +1,4 @@
-"""From frame to frame: what a track stores, and where the shape will be."""
+"""From frame to frame: what a track stores, where the shape will be, and how it has moved."""
 
 from __future__ import annotations
 
@@ -9,16 +9,117 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.curve import NO_VALUES, FittedForm, TrackHints
-from shape_obs.geometry.observed import Observed
+from shape_obs.geometry.curve import NO_VALUES
 from shape_obs.geometry.outline import with_turning
-from shape_obs.geometry.topology import Topology
+from shape_obs.geometry.topology import Chain, Topology
 from shape_obs.image.roi import Window
 from shape_obs.tracking.model import MotionModel
+from shape_obs.tracking.state import ENDS, ShapeState, State
 
 Array = npt.NDArray[np.float64]
+Box = tuple[int, int, int, int]
+#: The track of an outline or a sheet before a frame, see ``Track``: its state, nodes, velocity and reference; and the
+#: time now, seconds.
+Before = tuple[State, Array, Array, Array, float]
 
+BEFORE_TYPE: Final = "Tuple((ShapeState[::1], f8[:,::1], f8[:,::1], f8[:,::1], f8))"
+NO_NODES: Final = np.zeros((0, 2))  # without a track
+NO_BOX: Final = 0, 0, 0, 0  # without a mask
 _LEAST_INTERVAL: Final = 1e-6  # seconds; stamps that are closer give no velocity
+
+
+class Track(NamedTuple):
+    """All the state of one shape: arrays, which are copied and pickled as they are.
+
+    Args:
+        state: ``(1,)`` what is known besides its nodes, see ``RopeState`` and ``ShapeState``.
+        nodes: ``(K, D)`` pixels or metres; a chain's lie at the centres of equal pieces of the curve.
+        velocity: ``(K, D)`` units a second.
+        topology: How the nodes are connected.
+        log_depth: ``(K,)`` of the nodes in an image, see ``FittedCurve.log_depth``; ``(0,)`` without depth.
+        depth_rate: ``(K,)`` how fast it changes, units a second; ``(0,)`` if that is not known.
+        reference: ``(K, D')`` the nodes of the past by which an outline is numbered, or those of a sheet as it is
+            known, wherever they lay, in metres if they were seen in space; ``(0, 2)`` if they are not known.
+    """
+
+    state: State
+    nodes: Array
+    velocity: Array
+    topology: Topology
+    log_depth: Array = NO_VALUES
+    depth_rate: Array = NO_VALUES
+    reference: Array = NO_NODES
+
+    @property
+    def stamp(self) -> float:
+        """When the shape was seen, seconds."""
+        return float(self.state["stamp"][0])
+
+    @property
+    def interval(self) -> float:
+        """Over how many seconds its velocity was seen; 0 without one."""
+        return float(self.state["interval"][0])
+
+    @property
+    def size(self) -> float:
+        """The size of its form (arc length of a curve), hidden pieces included."""
+        return float(self.state["size"][0])
+
+    @property
+    def width(self) -> float:
+        """Of the object as a ribbon; 0 if it is not known."""
+        return float(self.state["width"][0])
+
+    @property
+    def box(self) -> Window | None:
+        """The rectangle around the mask; None without a mask."""
+        box = self.state["box"][0].tolist()
+        return Window(*box) if box[2] > 0 else None
+
+    @property
+    def rope(self) -> State | None:
+        """``(1,)`` the state if the shape is a rope, see ``RopeState``; else None."""
+        return self.state if isinstance(self.topology, Chain) else None
+
+    @property
+    def length_in_image(self) -> float:
+        """The length in the image of a rope of which all was seen, pixels; 0 if it is not known."""
+        rope = self.rope
+        return 0.0 if rope is None or not rope["frames"][0] else float(rope["pixels"][0])
+
+    def begun(self) -> Track:
+        """Return the track as that of another object, which was seen for the first time."""
+        state = self.state.copy()
+        state["interval"], state["box_motion"], state["width"] = 0.0, 0, state["seen_width"]
+        return self._replace(state=state, velocity=np.zeros_like(self.velocity), depth_rate=NO_VALUES)
+
+
+def reversed_rope(track: Track, points: int) -> Track:
+    """Return the track of the same rope, which begins at its other end.
+
+    Args:
+        track: Of a rope.
+        points: Of its curve.
+    """
+    state, was = track.state.copy(), track.state
+    for name in ENDS:
+        state[name] = was[name][:, ::-1]
+    state["tips"] = was["tips"][:, :, ::-1]
+    state["shown"] = points - was["shown"][:, ::-1]
+    nodes, velocity, deep, rate = (
+        each[::-1].copy() for each in (track.nodes, track.velocity, track.log_depth, track.depth_rate)
+    )
+    return track._replace(state=state, nodes=nodes, velocity=velocity, log_depth=deep, depth_rate=rate)
+
+
+def turned_sheet(track: Track, quarters: int) -> Track:
+    """Return the track of the same sheet, which begins ``quarters`` corners further on, clockwise."""
+    if quarters == 0 or len(track.reference) == 0:
+        return track
+    side, state, known = math.isqrt(len(track.reference)), track.state.copy(), track.reference
+    state["sides"] = np.roll(state["sides"], -quarters, axis=1)
+    turned = np.rot90(known.reshape(side, side, -1), quarters)
+    return track._replace(state=state, reference=np.ascontiguousarray(turned).reshape(known.shape))
 
 
 class Fit(NamedTuple):
@@ -28,31 +129,23 @@ class Fit(NamedTuple):
         form: In the order of the points; None when nothing was found.
         quality: 0...1.
         reason: Why it was refused; empty if it was not.
-        nodes: ``(K, D)`` the map's nodes on the form, for the track.
-        topology: How the nodes are connected.
-        width: Of the object, for the next frame; 0 if it is not known beforehand.
+        track: The track, if it goes on with this form; None without a form.
         observed: What the form was fitted to.
         object_width: The width of the object that the fit assumed.
         follow: Whether the track goes on with a form that was refused: it may still show where the object is.
         centres: ``(N, D)`` the shape's points in order if a clusterer found them; None if the form gives them.
         new: Whether the numbering begins again, though there was a track: the object is another one.
-        track_id: The number of the track that the form belongs to.
-        log_depth: ``(K,)`` of the nodes of a chain in an image, see ``FittedCurve.log_depth``; ``(0,)`` without depth.
     """
 
     form: Any = None
     quality: float = 0.0
     reason: str = ""
-    nodes: Array | None = None
-    topology: Topology | None = None
-    width: float = 0.0
+    track: Track | None = None
     observed: Any = None
     object_width: float = 0.0
     follow: bool = False
     centres: Array | None = None
     new: bool = False
-    track_id: int = 0
-    log_depth: Array = NO_VALUES
 
     @property
     def size(self) -> float:
@@ -60,68 +153,34 @@ class Fit(NamedTuple):
         return 0.0 if self.form is None else self.form.size
 
 
-class Track(NamedTuple):
-    """All the state of one shape.
-
-    Args:
-        nodes: ``(K, D)`` pixels or metres; a chain's lie at the centres of equal pieces of the curve.
-        velocity: ``(K, D)`` units a second.
-        interval: Seconds over which the velocity was seen.
-        size: The size of the form (arc length of a curve), hidden pieces included.
-        stamp: Seconds.
-        topology: How the nodes are connected.
-        hints: What the last form passed on in addition to its nodes.
-        width: Of the object as a ribbon; 0 if it is not known.
-        box: The rectangle around the mask; None without a mask.
-        drift: By how much its edges have moved since the frame before, at most, pixels.
-        area: Pixels or points of the object; 0 if a part of it was hidden.
-        track_id: Its number among the tracks of the shape, from 1.
-        log_depth: ``(K,)`` of the nodes in an image, see ``FittedCurve.log_depth``; ``(0,)`` without depth.
-        depth_rate: ``(K,)`` how fast it changes, units a second; ``(0,)`` if that is not known.
-    """
-
-    nodes: Array
-    velocity: Array
-    interval: float
-    size: float
-    stamp: float
-    topology: Topology
-    hints: TrackHints = TrackHints()
-    width: float = 0.0
-    box: Window | None = None
-    drift: int = 0
-    area: int = 0
-    track_id: int = 0
-    log_depth: Array = NO_VALUES
-    depth_rate: Array = NO_VALUES
-
-
 class Prediction(NamedTuple):
-    """Where a shape should be.
+    """What is known of a shape before a frame.
 
     Args:
         track: Where it was, and all that is known of it.
-        nodes: ``(K, D)`` where they should be.
-        log_depth: ``(K,)`` of the nodes in an image, see ``FittedCurve.log_depth``; ``(0,)`` without depth.
-        motion: How far the nodes are expected to have moved, RMS.
-        seconds: Since the track saw the shape.
-        lasted: For how many of them this frame counts in what is learnt.
-        resolution: Of the observation: nothing smaller can be distinguished from noise.
-        steady: Whether all of the object was seen and is: what comes to light, or under a hand, changes its area first.
+        now: When the frame was taken, seconds.
+        model: How it moves.
         stale: Whether the shape was lost for so long that its numbering begins again.
-        reach: How far the nodes can have moved; infinity without a limit.
+        reach: How far its nodes can have moved; infinity without a limit.
     """
 
     track: Track
-    nodes: Array
-    log_depth: Array
-    motion: float
-    seconds: float
-    lasted: float
-    resolution: float
-    steady: bool
+    now: float
+    model: MotionModel
     stale: bool = False
     reach: float = math.inf
+
+    @property
+    def nodes(self) -> Array:
+        """``(K, D)`` where they should be."""
+        track = self.track
+        ahead = self.model.velocity_share * min(max(self.seconds, 0.0), track.interval)
+        return extrapolated(track.nodes, track.velocity, track.log_depth, track.depth_rate, ahead)[0]
+
+    @property
+    def seconds(self) -> float:
+        """Since the track saw the shape."""
+        return self.now - self.track.stamp
 
     @property
     def intervals(self) -> float:
@@ -129,51 +188,37 @@ class Prediction(NamedTuple):
         return max(self.seconds / self.track.interval, 1.0) if self.track.interval > 0 else 1.0
 
 
-def length_in_image(track: Track | None) -> float:
-    """Return the length in the image of a rope of which all was seen, pixels; 0 if it is not known."""
-    rope = None if track is None else track.hints.rope
-    return 0.0 if rope is None or not rope["frames"][0] else float(rope["pixels"][0])
+def known_before(prediction: Prediction | None, dimension: int, now: float) -> Before:
+    """Return the track of an outline or a sheet before a frame; without nodes if it has none."""
+    if prediction is None:
+        nothing = np.empty((0, dimension))
+        return np.zeros(1, ShapeState), nothing, nothing, NO_NODES, now
+    track = prediction.track
+    return track.state, track.nodes, track.velocity, track.reference, now
 
 
+@compiled
 def predict(
-    track: Track, observed: Observed, now: float, model: MotionModel, stale: bool = False, reach: float = math.inf
-) -> Prediction:
+    known: Any, nodes: Array, velocity: Array, log_depth: Array, depth_rate: Array, now: float, model: Any
+) -> tuple[Array, Array, float]:
     """Predict the nodes: they go on with most of their velocity.
 
     A velocity lasts for as long as it was seen, so that a shape that was lost is searched near its last place.
-    ``stale`` and ``reach`` are those of the prediction.
+
+    Args:
+        known: The state of its track.
+        nodes: ``(K, D)`` where they were; ``(0, D)`` without a track.
+        velocity: ``(K, D)``.
+        log_depth: ``(K,)`` or ``(0,)``.
+        depth_rate: The same.
+        now: Seconds.
+        model: The constants.
+
+    Returns:
+        See ``extrapolated``.
     """
-    since = now - track.stamp
-    ahead = model.velocity_share * min(max(since, 0.0), track.interval)
-    nodes, log_depth, motion = extrapolated(track.nodes, track.velocity, track.log_depth, track.depth_rate, ahead)
-    steady, lasted = abs(observed.area - track.area) <= model.steady * track.area, model.lasted(since)
-    return Prediction(track, nodes, log_depth, motion, since, lasted, observed.resolution, steady, stale, reach)
-
-
-def advance(track: Track | None, found: Fit, observed: Observed, now: float, model: MotionModel) -> Track:
-    """Return the track after a frame in which a form was found.
-
-    Widths change slowly: what hides a piece that is not known to be hidden makes the rest no thinner. And they do not
-    follow noise, or cells of another edge would gather the pixels from one frame to the next.
-    """
-    form: FittedForm = found.form
-    nodes, topology, width, box, depth_rate = found.nodes, found.topology, found.width, observed.box, NO_VALUES
-    assert nodes is not None
-    assert topology is not None
-    if track is not None and track.width and width:
-        width = track.width * (1 + _believed(width / track.width - 1, now - track.stamp, model))
-    interval = 0.0 if track is None else now - track.stamp
-    if track is not None and interval > _LEAST_INTERVAL:
-        turning = 1.0 if form.hints.turning is None else form.hints.turning / model.velocity_share
-        velocity, depth_rate = rates(nodes, track.nodes, found.log_depth, track.log_depth, interval, turning)
-    else:
-        velocity = np.zeros_like(nodes)
-    area = 0 if np.count_nonzero(form.interpolated) else observed.area
-    drift = 0 if track is None or track.box is None or box is None else _drift(track.box, box)
-    return Track(
-        nodes, velocity, max(interval, 0.0), form.size, now, topology, form.hints, width, box, drift, area,
-        found.track_id, found.log_depth, depth_rate,
-    )  # fmt: skip
+    ahead = model.velocity_share * min(max(now - known.stamp, 0.0), known.interval)
+    return extrapolated(nodes, velocity, log_depth, depth_rate, ahead)
 
 
 @compiled("(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8)")
@@ -188,35 +233,74 @@ def extrapolated(
             square += (ahead * velocity[k, d]) ** 2
     for k in range(len(depth_rate)):
         deep[k] += ahead * depth_rate[k]
-    return moved, deep, math.sqrt(square / len(nodes))
+    return moved, deep, math.sqrt(square / max(len(nodes), 1))
 
 
-@compiled("(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, f8)")
-def rates(
-    nodes: Array, before: Array, log_depth: Array, log_depth_before: Array, seconds: float, turning: float
-) -> tuple[Array, Array]:
-    """Return how fast nodes ``(K, D)`` and log-depth have changed, units a second; ``(0,)`` if that is not known.
+@compiled
+def counted(seconds: float, model: Any) -> float:
+    """Return for how many seconds a frame counts in what is learnt, that many after the last one."""
+    return min(max(seconds, 0.0), model.longest_interval)
 
-    Of their common motion along a closed curve the share ``turning`` is believed.
+
+@compiled
+def advance(
+    known: Any, now: Any, nodes: Array, before: Array, log_depth: Array, log_depth_before: Array, stamp: float,
+    size: float, width: float, box: Box, area: int, turning: float, model: Any,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Write into a state how a shape has moved to where it was found.
+
+    Widths change slowly: what hides a piece that is not known to be hidden makes the rest no thinner. And they do not
+    follow noise, or cells of another edge would gather the pixels from one frame to the next.
+
+    Args:
+        known: The state of its track.
+        now: The state after this frame; written to.
+        nodes: ``(K, D)`` where it was found.
+        before: ``(K, D)`` where it was; ``(0, D)`` without a track.
+        log_depth: ``(K,)`` or ``(0,)``, of the nodes.
+        log_depth_before: The same of those before.
+        stamp: Of the frame, seconds.
+        size: Of the form.
+        width: Of the object; 0 if it is not known.
+        box: Around the mask.
+        area: Of the object; 0 if a part of it is hidden.
+        turning: The share of the nodes' common motion along a closed curve that is believed.
+        model: The constants.
+
+    Returns:
+        ``(K, D)`` velocity; ``(K,)`` or ``(0,)`` how fast the log-depth changes; units a second.
     """
-    velocity, rate = np.empty_like(nodes), np.empty(min(len(log_depth), len(log_depth_before)))
+    now.stamp, now.interval, now.size, now.width, now.seen_width = stamp, 0.0, size, width, width
+    now.area, now.box_motion = area, 0
+    for k in range(4):
+        now.box[k] = box[k]
+    velocity, depth_rate = np.zeros_like(nodes), log_depth[:0]
+    if len(before) == 0:
+        return velocity, depth_rate
+    seconds = stamp - known.stamp
+    now.interval = max(seconds, 0.0)
+    if known.width > 0 and width > 0:
+        now.width = known.width * (1 + _believed(width / known.width - 1, seconds, model))
+    if known.box[2] > 0 and box[2] > 0:
+        left, top = abs(known.box[0] - box[0]), abs(known.box[1] - box[1])
+        right = abs(known.box[0] + known.box[2] - box[0] - box[2])
+        now.box_motion = max(left, top, right, abs(known.box[1] + known.box[3] - box[1] - box[3]))
+    if seconds <= _LEAST_INTERVAL:
+        return velocity, depth_rate
     for k in range(len(nodes)):
         for d in range(nodes.shape[1]):
             velocity[k, d] = (nodes[k, d] - before[k, d]) / seconds
-    for k in range(len(rate)):
-        rate[k] = (log_depth[k] - log_depth_before[k]) / seconds
-    return (velocity if turning == 1 else with_turning(nodes, velocity, turning)), rate
+    if len(log_depth) > 0 and len(log_depth_before) > 0:
+        depth_rate = np.empty(len(log_depth))
+        for k in range(len(log_depth)):
+            depth_rate[k] = (log_depth[k] - log_depth_before[k]) / seconds
+    return (velocity if turning == 1 else with_turning(nodes, velocity, turning)), depth_rate
 
 
-def _believed(change: float, seconds: float, model: MotionModel) -> float:
+@compiled
+def _believed(change: float, seconds: float, model: Any) -> float:
     """Return the part of a width's relative change that is not noise, limited by the time that has passed."""
     if abs(change) <= model.width_noise:
         return 0.0
-    most = model.max_width_change * model.lasted(seconds)
+    most = model.max_width_change * counted(seconds, model)
     return max(-most, min(change, most))
-
-
-def _drift(before: Window, after: Window) -> int:
-    """Return by how much the edges of a box have moved, at most, pixels."""
-    (a, b, c, d), (e, f, g, h) = before, after
-    return max(abs(a - e), abs(b - f), abs(a + c - e - g), abs(b + d - f - h))

@@ -42,9 +42,9 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Ends = tuple[int, int]
 #: Of a rope: its width in pixels, the resolution of the observation, 1 if it was lost for long, how far its nodes are
-#: expected to have moved, RMS, the seconds since it was seen, for how many of them this frame counts, how far the nodes
-#: can have moved since then, and its width as it was, pixels.
-Expected = tuple[float, float, float, float, float, float, float, float]
+#: expected to have moved, RMS, the seconds since it was seen, for how many of them this frame counts, and how far the
+#: nodes can have moved since then.
+Expected = tuple[float, float, float, float, float, float, float]
 
 _PLACES: Final = 7  # along the rope, at which a piece is compared with it to find its direction
 
@@ -107,7 +107,7 @@ def _match(
     """
     last, metric, in_space = len(arc) - 1, len(metres) > 0, points.shape[1] == 3
     along, size = metres if metric else arc, metres[-1] if metric else 0.0
-    width, resolution, stale, motion, seconds, lasted, _, _ = expected
+    width, resolution, stale, motion, seconds, lasted, _ = expected
     now.elsewhere, now.misplaced, now.plain = 0.0, 0.0, False
     gap = _widest_gap(arc, flags)
     unbroken, length = not flags.any(), was.metres if metric else was.pixels
@@ -269,7 +269,7 @@ def _runs_back(
     """
     if _is_along(found, nodes, model):
         return False, False
-    _, resolution, _, _, seconds, _, reach, _ = expected
+    _, resolution, _, _, seconds, _, reach = expected
     way = direction(points, before, reach)
     if way != 0:
         return way < 0, False

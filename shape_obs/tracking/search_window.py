@@ -51,11 +51,10 @@ def predict_search_window(tracks: list[Track | None]) -> SearchWindow | None:
     left = top = width = math.inf
     right = bottom = -math.inf
     for track in tracks:
-        if track is None or track.box is None:
+        box = None if track is None else track.box
+        if track is None or box is None or (track.rope is not None and track.rope["hides"][0]):
             return None
-        if track.hints.rope is not None and track.hints.rope["hides"][0]:
-            return None
-        box, spare = track.box, _SPARE + track.drift
+        spare = _SPARE + int(track.state["box_motion"][0])
         left, top, width = min(left, box.left - spare), min(top, box.top - spare), min(width, track.width)
         right, bottom = max(right, box.left + box.width + spare), max(bottom, box.top + box.height + spare)
     return SearchWindow(Window(int(left), int(top), int(right - left), int(bottom - top)), width)

@@ -15,10 +15,9 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, DepthImages
-from shape_obs.geometry.observed import Observed
 from shape_obs.image.over_under import depth_at
 from shape_obs.tracking.model import MotionModel
-from shape_obs.tracking.predict import Fit, Prediction, Track, extrapolated, predict, rates
+from shape_obs.tracking.predict import Fit, Prediction, Track, extrapolated
 from shape_obs.tracking.scene import Scene
 
 Array = npt.NDArray[np.float64]
@@ -35,7 +34,7 @@ class Candidate(NamedTuple):
     """What is seen where the object cannot be, and may be it all the same.
 
     Args:
-        track: Its own, with the number of the object's.
+        track: Its own.
         begun: When it was first seen, seconds.
         frames: For how many frames it has moved continuously.
         refused: For how many frames something in plain sight was refused before, this candidate or another one.
@@ -54,12 +53,12 @@ class Candidate(NamedTuple):
         """Return the candidate after another frame of its path."""
         return self._replace(track=track, frames=self.frames + 1, refused=self.refused + 1)
 
-    def leads_to(self, found: Fit, observed: Observed, gate: SpeedGate, scene: Scene) -> bool:
+    def leads_to(self, found: Fit, gate: SpeedGate, scene: Scene) -> bool:
         """Return whether a fit continues its path."""
-        if found.nodes is None or (found.reason and not found.follow):
+        if found.track is None or (found.reason and not found.follow):
             return False
-        ahead = predict(self.track, observed, scene.clock.now, gate.model)
-        return not gate.exceeded(found.nodes, ahead, ahead.seconds, scene)
+        ahead = Prediction(self.track, scene.clock.now, gate.model)
+        return not gate.exceeded(found.track.nodes, ahead, ahead.seconds, scene)
 
     @property
     def believed(self) -> bool:
@@ -74,7 +73,7 @@ class Candidate(NamedTuple):
 
 def is_as_large(found: Fit, track: Track, now: float) -> bool:
     """Return whether a form is as large as the object that was tracked, and nothing of it is out of sight."""
-    form, rope = found.form, track.hints.rope
+    form, rope = found.form, track.rope
     known = 0.0 if rope is None or not len(form.metres) else float(rope["metres"][0])
     if known > 0:
         return form.whole and float(form.metres[-1]) >= WHOLE * known
@@ -179,4 +178,4 @@ def typical_motion(nodes: Array, before: Array, depth: DepthImages) -> tuple[flo
     return np.median(apart), np.median(away[:known]) if known else 0.0
 
 
-TRACK_FUNCTIONS: Final = extrapolated, rates, typical_motion
+TRACK_FUNCTIONS: Final = extrapolated, typical_motion

@@ -1,4 +1,4 @@
-"""What a track stores of a rope: one record that Python and compiled code share, copied and pickled as an array is."""
+"""What a track stores besides nodes: one record that Python and compiled code share, copied and pickled as a whole."""
 
 from __future__ import annotations
 
@@ -11,9 +11,28 @@ from shape_obs.tracking.model import ChainModel
 
 State = npt.NDArray[Any]
 
-#: The first of two values is that of the rope's start, the second that of its end.
+_MOTION: Final = [
+    ("stamp", "f8"),  # s, when the shape was seen
+    ("interval", "f8"),  # s, over which its velocity was seen; 0 without one
+    ("size", "f8"),  # of its form (arc length of a curve), hidden pieces included
+    ("width", "f8"),  # of the object as a ribbon, as it is believed; 0 if it is not known
+    ("seen_width", "f8"),  # the same in the last frame alone
+    ("box", "i8", 4),  # left, top, width and height of the rectangle around the mask; zeros without a mask
+    ("box_motion", "i8"),  # pixels by which its edges have moved since the frame before, at most
+    ("area", "i8"),  # pixels or points of the object; 0 if a part of it was hidden
+]
+#: An outline or a sheet.
+ShapeState: Final = np.dtype(
+    [
+        *_MOTION,
+        ("sides", "f8", 4),  # lengths of a sheet's sides, in the unit in which it is known
+    ],
+    align=True,
+)
+#: A rope. The first of two values is that of its start, the second that of its end.
 RopeState: Final = np.dtype(
     [
+        *_MOTION,
         ("hidden", "f8", 2),  # share of its length that is out of sight
         ("occluded", "u1", 2),  # 1 if something is seen to hide the end
         ("folded", "u1", 2),  # 1 if the end is free, so that what is missing there was laid back onto the curve
@@ -44,7 +63,6 @@ RopeState: Final = np.dtype(
         ("innovation", "f8"),
         ("unclear", "?"),  # whether its direction is not clear
         ("shown", "i8", 2),  # the points of its curve over which a shape's are spread: the first, the one past the last
-        ("width", "f8"),  # of what is seen of it, pixels; 0 in a cloud
         ("steep", "f8"),  # how much longer it is in space than in the image
         ("quality", "f8"),  # of the fit, 0...1
         ("refusal", "i8"),  # why its points may be wrong, see ``judge_chain``; 0 if they are not
@@ -56,7 +74,7 @@ RopeState: Final = np.dtype(
 #: What is known of its length.
 LENGTH: Final = ["pixels", "metres", "pixels_spread", "metres_spread", "frames", "short"]
 #: What is known of its two ends.
-_ENDS: Final = ["hidden", "occluded", "folded", "occlusion", "hold"]
+ENDS: Final = ["hidden", "occluded", "folded", "occlusion", "hold"]
 
 
 def new_rope(model: ChainModel, metres: float = 0.0) -> State:
@@ -70,18 +88,3 @@ def new_rope(model: ChainModel, metres: float = 0.0) -> State:
     state["metres"], state["stretch"] = metres, 1.0
     state["pixels_spread"], state["metres_spread"] = model.first_spread
     return state
-
-
-def reversed_rope(rope: State, points: int) -> State:
-    """Return the state of the same rope, which begins at its other end.
-
-    Args:
-        rope: ``(1,)``.
-        points: Of its curve.
-    """
-    back = rope.copy()
-    for name in _ENDS:
-        back[name] = rope[name][:, ::-1]
-    back["tips"] = rope["tips"][:, :, ::-1]
-    back["shown"] = points - rope["shown"][:, ::-1]
-    return back

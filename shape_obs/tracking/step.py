@@ -6,6 +6,7 @@ from an initial axis, with nothing known of the rope.
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final
 
 import numpy as np
@@ -20,6 +21,8 @@ from shape_obs.tracking.complete_chain import complete_chain
 from shape_obs.tracking.judge_chain import judge_chain
 from shape_obs.tracking.measure_chain import fit_chain_in_mask
 from shape_obs.tracking.model import ChainConstants, Model  # noqa: F401 - the first in signatures
+from shape_obs.tracking.occluders import UNKNOWN
+from shape_obs.tracking.predict import NO_BOX, Box, advance, counted, predict
 from shape_obs.tracking.register_chain import Ends, Expected, register_chain
 from shape_obs.tracking.state import RopeState, State  # noqa: F401 - the first in a signature
 
@@ -27,71 +30,125 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]
-#: State ``(1,)``; nodes ``(K, D)`` and their log-depth; the whole curve: points ``(P, D)``, flags, arc length, metres,
-#: pixels and log-depth, ``(P,)``, the last three ``(0,)`` where they are not known.
-Stepped = tuple[State, Array, Array, Array, Flags, Array, Array, Array, Array]
+#: A track after a frame, see ``Track``: state, nodes, velocity, log-depth and how fast it changes. And the whole curve:
+#: points ``(P, D)``, flags, arc length, metres, pixels and log-depth, ``(P,)``, the last three ``(0,)`` where they are
+#: not known.
+Stepped = tuple[State, Array, Array, Array, Array, Array, Flags, Array, Array, Array, Array]
+#: A track before a frame, the same of it, and the time now, seconds; whether it was lost for long; how far its nodes
+#: can have moved.
+Before = tuple[State, Array, Array, Array, Array, float, bool, float]
 
+# The types of ``Before``.
+_BEFORE: Final = "Tuple((RopeState[::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, b1, f8))"
 _FEWEST: Final = 6  # nodes of a visible piece
+_MAX_CELL: Final = 24  # pixels: the edge of a cell of a very wide rope
+_MAX_CELLS: Final = 4096  # about; more change nothing and cost time
 
 
 @compiled(
-    "(i8[:,::1], u1[:,::1], UniTuple(i8, 2), UniTuple(i8, 4), " + DEPTH_TYPE + ", f8[::1], f8[:,::1], f8[::1], f8, i8, "
-    "i8, RopeState[::1], UniTuple(f8, 8), f8[:,::1], f8[::1], f8[:,::1], f8, b1, ChainConstants[::1])"
+    "(i8[:,::1], u1[:,::1], UniTuple(i8, 4), UniTuple(i8, 4), UniTuple(i8, 4), i8, " + DEPTH_TYPE + ", f8[::1], "
+    "f8[:,::1], f8, f8, b1, " + _BEFORE + ", ChainConstants[::1])"
 )
 def step_chain_in_mask(
-    runs: Indices, mask: Mask, at: tuple[int, int], edge: tuple[int, int, int, int], depth: DepthImages, lens: Array,
-    axis: Array, sigmas: Array, pull: float, cell: int, area: int, known: State, expected: Expected, nodes: Array,
-    log_depth: Array, before: Array, off: float, in_metres: bool, model: Model,
+    runs: Indices, mask: Mask, window: Box, box: Box, edge: Box, area: int, depth: DepthImages, lens: Array,
+    axis: Array, width: float, off: float, in_metres: bool, before: Before, model: Model,
 ) -> Stepped:  # fmt: skip
     """Follow a rope into a mask.
 
     Args:
         runs: ``(R, 3)`` of the mask; at least one.
         mask: ``(h, w)`` uint8, C-contiguous.
-        at: Image column and row of its first pixel.
-        edge: Left, top, width and height of the part of the image that is searched, pixels.
+        window: Left, top, width and height of the mask in the image, pixels.
+        box: The same of what is in it.
+        edge: The same of the part of the image that is searched.
+        area: Of the mask, pixels.
         depth: The frame's, see ``frame.depth_images``; both empty without depth or a camera.
         lens: The projection, see ``Intrinsics.lens``; ``(0,)`` without one.
         axis: ``(K, 2)`` nodes of an initial axis; ``(0, 2)`` starts from where the rope is predicted.
-        sigmas: Width of the map's neighbourhood in each epoch, node units.
-        pull: How far averaging pulls the nodes, see ``topology.shrinkage``.
-        cell: Edge of the squares in which pixels are gathered.
-        area: Of the mask, pixels.
-        known: ``(1,)`` what is known of the rope.
-        expected: See ``Expected``.
-        nodes: ``(K, 2)`` where the rope is predicted, as the middles of equal pieces; ``(0, 2)`` at a cold start.
-        log_depth: ``(K,)`` of the nodes; ``(0,)`` if it is not known.
-        before: ``(K, 2)`` where the nodes were.
+        width: Of the rope, pixels.
         off: The share of the curve that may be bridged or hidden.
         in_metres: Whether the rope's points lie at equal steps in space.
+        before: The track; without nodes at a cold start.
         model: ``(1,)`` the constants.
 
     Returns:
         See ``Stepped``.
     """
-    start, deep = axis, log_depth[:0]
+    nodes, log_depth, expected = _expect(before, width, 1.0, model[0])
+    start, deep, sigmas = axis, log_depth[:0], _as_array(model[0].sigmas_initial)
     if len(axis) == 0:
-        start, deep = visible_nodes(nodes, log_depth if len(lens) > 0 else deep, known)
+        start, deep = visible_nodes(nodes, log_depth if len(lens) > 0 else deep, before[0])
+        # What comes to light, or under a hand, changes the area first.
+        steady = abs(area - before[0][0].area) <= model[0].steady * before[0][0].area
+        sigmas = _as_array(model[0].sigmas_steady) if steady else _as_array(model[0].sigmas_changed)
+    cell = max(int(min(width / 3, _MAX_CELL)), int(math.sqrt(area // _MAX_CELLS)), 1)  # thin ropes keep it
     curve, arc, flags, metres, deep, spread, spurious, ends, shapes = fit_chain_in_mask(
-        runs, mask, at, start, deep, sigmas, pull, cell, expected[0], depth, lens, edge, model[0]
+        runs, mask, window[:2], start, deep, sigmas, cell, width, depth, lens, edge, model[0]
     )
-    spread += min(cell, expected[0]) ** 2 / 12
-    return step_measured_chain(
-        curve, arc, flags, metres, deep, ends, shapes, spread, 0.0, area, len(start), known, expected, nodes, log_depth,
-        before, off, spurious, in_metres, model,
+    spread += min(cell, width) ** 2 / 12
+    return _step_chain(
+        curve, arc, flags, metres, deep, ends, shapes, spread, 0.0, area, box, len(start), before, nodes, log_depth,
+        expected, off, spurious, in_metres, model,
     )  # fmt: skip
 
 
-@compiled(
-    "(f8[:,::1], f8[::1], b1[::1], f8[::1], f8[::1], UniTuple(i8, 2), f8[:,::1], f8, f8, i8, i8, RopeState[::1], "
-    "UniTuple(f8, 8), f8[:,::1], f8[::1], f8[:,::1], f8, f8, b1, ChainConstants[::1])"
-)
-def step_measured_chain(
-    points: Array, arc: Array, flags: Flags, metres: Array, log_depth: Array, ends: Ends, shapes: Array, spread: float,
-    width: float, area: int, count: int, known: State, expected: Expected, nodes: Array, node_log_depth: Array,
-    before: Array, off: float, spurious: float, in_metres: bool, model: Model,
+@compiled("(f8[:,::1], b1[::1], f8, f8, f8, i8, i8, f8, b1, " + _BEFORE + ", ChainConstants[::1])")
+def step_chain_in_cloud(
+    points: Array, flags: Flags, spread: float, width: float, resolution: float, area: int, count: int, off: float,
+    in_metres: bool, before: Before, model: Model,
 ) -> Stepped:  # fmt: skip
-    """Follow a rope to a curve that was fitted in this frame: register, complete and judge it.
+    """Follow a rope to a curve that was fitted to a cloud.
+
+    Args:
+        points: ``(P, 3)``.
+        flags: ``(P,)`` where it does not lie on what is seen.
+        spread: Mean square distance of what is seen from the curve.
+        width: Of what is seen.
+        resolution: Of the cloud.
+        area: How many points it has.
+        count: How many nodes a track begins with.
+        off: As ``step_chain_in_mask`` takes it, and all that follow.
+        in_metres: Whether points lie at equal steps in space.
+        before: The track.
+        model: ``(1,)`` the constants.
+
+    Returns:
+        See ``Stepped``.
+    """
+    nodes, log_depth, expected = _expect(before, 0.0, resolution, model[0])
+    return _step_chain(
+        points, arc_length(points), flags, log_depth[:0], log_depth[:0], (UNKNOWN, UNKNOWN), np.empty((0, 2)), spread,
+        width, area, NO_BOX, count, before, nodes, log_depth, expected, off, 0.0, in_metres, model,
+    )  # fmt: skip
+
+
+@compiled
+def _as_array(values: Any) -> Array:
+    """Return several values of a constant as an array."""
+    out = np.empty(len(values))
+    for k in range(len(values)):
+        out[k] = values[k]
+    return out
+
+
+@compiled
+def _expect(before: Before, width: float, resolution: float, model: Any) -> tuple[Array, Array, Expected]:
+    """Predict a rope: return its nodes, their log-depth and what else is expected of it."""
+    known, nodes, velocity, log_depth, depth_rate, now, stale, reach = before
+    ahead, deep, motion = predict(known[0], nodes, velocity, log_depth, depth_rate, now, model)
+    if len(nodes) == 0:
+        return ahead, deep, (width, resolution, 0.0, 0.0, np.inf, 0.0, np.inf)
+    seconds = now - known[0].stamp
+    return ahead, deep, (width, resolution, 1.0 if stale else 0.0, motion, seconds, counted(seconds, model), reach)
+
+
+@compiled
+def _step_chain(
+    points: Array, arc: Array, flags: Flags, metres: Array, log_depth: Array, ends: Ends, shapes: Array, spread: float,
+    width: float, area: int, box: Box, count: int, before: Before, nodes: Array, node_log_depth: Array,
+    expected: Expected, off: float, spurious: float, in_metres: bool, model: Model,
+) -> Stepped:  # fmt: skip
+    """Follow a rope to a curve that was fitted in this frame: register, complete and judge it, and advance its track.
 
     Args:
         points: ``(P, D)``.
@@ -103,13 +160,13 @@ def step_measured_chain(
         shapes: ``(2, 2)`` what they look like, see ``tip_shape``; ``(0, 2)`` if that is not known.
         spread: Mean square distance of what is seen from the curve.
         width: Of what is seen, in a cloud; 0 in a mask.
-        area: Of the mask, pixels; 0 for a cloud.
+        area: Of what is seen, pixels or points.
+        box: Around the mask; ``NO_BOX`` in a cloud.
         count: How many nodes a track begins with.
-        known: As ``step_chain_in_mask`` takes it, and all that follow.
-        expected: See ``Expected``.
+        before: The track.
         nodes: Predicted.
         node_log_depth: Theirs.
-        before: Where they were.
+        expected: See ``Expected``.
         off: The share that may be bridged or hidden.
         spurious: The share that cannot be the rope, see ``fit_chain_in_mask``.
         in_metres: Whether points lie at equal steps in space.
@@ -118,30 +175,33 @@ def step_measured_chain(
     Returns:
         See ``Stepped``.
     """
+    known, last, _, deep_before, _, stamp, stale, _ = before
     state, points, arc, flags, metres, log_depth = register_chain(
-        points, arc, flags, metres, log_depth, ends, shapes, known, expected, nodes, node_log_depth, before,
-        model[0],
-    )  # fmt: skip
-    was, now, pixels = known[0], state[0], arc[:0]
+        points, arc, flags, metres, log_depth, ends, shapes, known, expected, nodes, node_log_depth, last, model[0]
+    )
+    was, now, pixels, cold = known[0], state[0], arc[:0], len(nodes) == 0
     if not now.plain:
         points, arc, flags, metres, pixels, log_depth = complete_chain(
-            points, arc, flags, metres, log_depth, known, state, expected[7], expected[5], nodes, node_log_depth,
-            model[0],
+            points, arc, flags, metres, log_depth, known, state, expected[0] if cold else was.width, expected[5],
+            nodes, node_log_depth, model[0],
         )  # fmt: skip
     stations = metres if len(metres) > 0 else pixels if len(pixels) > 0 else arc
     _show(now, stations)
-    found = even_points(points, stations, len(nodes) if len(nodes) > 0 else count, True)
+    found = even_points(points, stations, count if cold else len(nodes), True)
     deep, now.steep = log_depth, 1.0
     if len(log_depth) > 0:
         deep = even_points(log_depth.reshape(-1, 1), stations, len(found), True).reshape(len(found))
         now.steep = arc_length(with_log_depth(points, log_depth))[-1] / max(arc[-1], 1e-9)
-    cold = len(nodes) == 0
-    begins = cold or (expected[2] > 0 and max(now.hidden[0], now.hidden[1]) <= now.tolerance)
+    begins = cold or (stale and max(now.hidden[0], now.hidden[1]) <= now.tolerance)
     judge_chain(
-        was, now, points, arc, flags, metres, log_depth, spread, width, expected[0], float(area), off, spurious, begins,
-        in_metres and not cold, model[0],
+        was, now, points, arc, flags, metres, log_depth, spread, width, expected[0],
+        float(area) if box[2] > 0 else 0.0, off, spurious, begins, in_metres and not cold, model[0],
     )  # fmt: skip
-    return state, found, deep, points, flags, arc, metres, pixels, log_depth
+    velocity, depth_rate = advance(
+        was, now, found, last, deep, deep_before, stamp, arc[-1], now.seen_width, box, 0 if flags.any() else area, 1.0,
+        model[0],
+    )  # fmt: skip
+    return state, found, velocity, deep, depth_rate, points, flags, arc, metres, pixels, log_depth
 
 
 @compiled("(f8[:,::1], f8[::1], RopeState[::1])")

@@ -23,11 +23,13 @@ from shape_obs.geometry.rotation import flattened
 from shape_obs.image.connected_runs import near_mask
 from shape_obs.image.over_under import depth_at
 from shape_obs.initialization.corners import sheet_outline
-from shape_obs.tracking.complete_lattice import Edges, complete_border, hide_folded, outline_depth
+from shape_obs.tracking.complete_lattice import complete_border, hide_folded, outline_depth
 from shape_obs.tracking.measure_lattice import UNBENT, corners_of, numbered_corners, turns_within
 from shape_obs.tracking.measure_ring import MIN_SAMPLES, trace_border
-from shape_obs.tracking.model import LatticeConstants, Model  # noqa: F401 - the first in a signature
+from shape_obs.tracking.model import LatticeConstants, Model  # noqa: F401 - the first in signatures
+from shape_obs.tracking.predict import BEFORE_TYPE, Before, Box, advance, counted, predict
 from shape_obs.tracking.register_lattice import compare_sheet, doubtful_places, learn_sheet, rescaled, visible_corners
+from shape_obs.tracking.state import ShapeState, State  # noqa: F401 - the first in signatures
 from shape_obs.tracking.validation import (
     NO_CORNERS,
     NO_FAULT,
@@ -55,8 +57,8 @@ class SheetStep(NamedTuple):
         quality: 0...1.
         nodes: ``(625, 2)`` pixels.
         hidden: ``(625,)``.
+        state: ``(1,)`` of its track.
         reference: ``(625, D)`` the sheet as it is known now, in metres with depth.
-        sides: ``(4,)`` the lengths of its sides, in the same unit.
         down: ``(25,)`` see ``lattice_gauges``.
         right: ``(25,)`` the same.
         width: Of the mask's largest piece, pixels.
@@ -66,20 +68,23 @@ class SheetStep(NamedTuple):
     quality: float
     nodes: Array
     hidden: Flags
+    state: State
     reference: Array
-    sides: Array
     down: Array
     right: Array
     width: float
 
 
 @compiled(
-    "(u1[:,::1], i8[:,::1], i8, i8, i8, " + DEPTH_TYPE + ", UniTuple(i8, 4), f8[::1], f8[:,::1], f8[:,::1], f8[::1], "
-    "f8, UniTuple(i8, 2), f8, LatticeConstants[::1])"
+    "(u1[:,::1], i8[:,::1], i8, i8, i8, "
+    + DEPTH_TYPE
+    + ", UniTuple(i8, 4), f8[::1], UniTuple(i8, 2), f8, "
+    + BEFORE_TYPE
+    + ", LatticeConstants[::1])"
 )
 def step_sheet(
-    mask: Mask, runs: Indices, pieces: int, left: int, top: int, depth: DepthImages, edge: Edges, lens: Array,
-    nodes: Array, reference: Array, sides: Array, lasted: float, size: tuple[int, int], freedom: float, model: Model,
+    mask: Mask, runs: Indices, pieces: int, left: int, top: int, depth: DepthImages, edge: Box, lens: Array,
+    size: tuple[int, int], freedom: float, before: Before, model: Model,
 ) -> SheetStep:  # fmt: skip
     """Follow a sheet into a mask, or find it there.
 
@@ -92,32 +97,34 @@ def step_sheet(
         depth: As ``outline_depth`` takes it, and the next.
         edge: Of what is searched.
         lens: The projection, see ``Intrinsics.lens``; ``(0,)`` without one.
-        nodes: ``(625, 2)`` pixels, where the sheet is predicted; ``(0, 2)`` without a track.
-        reference: ``(625, D)`` as it was, wherever it lay, in metres if it was seen in space; ``(0, 2)`` if unknown.
-        sides: ``(4,)`` the lengths of its sides in the same unit.
-        lasted: Seconds for which this frame counts.
         size: Rows and columns of points that are asked for.
         freedom: How far a corner may move that the others do not, see ``validate_sheet``.
+        before: The track; without nodes in a first frame.
         model: ``(1,)`` the constants.
     """
     constants, nothing, blank = model[0], np.zeros(0), np.empty((0, 2))
+    was, last, speed, reference, stamp = before
+    nodes, _, _ = predict(was[0], last, speed, nothing, nothing, stamp, constants)
+    lasted, sides, state = counted(stamp - was[0].stamp, constants), np.empty(4), was.copy()
+    for k in range(4):
+        sides[k] = was[0].sides[k]
     traced, width, _ = trace_border(mask, runs, pieces, left, top, -1)
     fault, quality, pixels, hidden, learnt, lengths = (NO_CORNERS, 0, 0.0, 0.0), 0.0, blank, nothing > 0, blank, sides
     if len(traced) <= SAMPLED * (MIN_SAMPLES - 1):
-        return SheetStep(fault, quality, pixels, hidden, learnt, lengths, nothing, nothing, width)
+        return SheetStep(fault, quality, pixels, hidden, state, learnt, nothing, nothing, width)
     outline = sheet_outline(material_outline(traced, False)[1])
     z, cut = outline_depth(depth, edge, mask, left, top, outline.points, width, constants)
     space, covered = deprojected(outline.points, z, lens), np.count_nonzero(cut) / AROUND
     cold, clear, deep = len(nodes) == 0, covered == 0, len(space) > 0
     space = space if deep else outline.points
-    known, before, tolerance = reference, sides, np.empty(4)
+    known, usual, tolerance = reference, sides, np.empty(4)
     if not cold and (len(reference) == 0 or reference.shape[1] > space.shape[1]):
-        known, before = nodes, side_lengths(border_of(nodes))
+        known, usual = nodes, side_lengths(border_of(nodes))
     metric = not cold and known.shape[1] == 3
     scale = arc_length(closed(space))[AROUND] / (AROUND * outline.step) if metric else 1.0
     for k in range(4):
         share = constants.length_tolerance[1 if metric else 0]
-        tolerance[k] = max(share * before[k], constants.border_noise * scale)
+        tolerance[k] = max(share * usual[k], constants.border_noise * scale)
     for way in range(4):
         if cold:
             possible = way == _BEST
@@ -133,7 +140,7 @@ def step_sheet(
         if way == _COMPLETED:
             if metric:
                 kinks = turns_within(outline.points, space, depth, mask, left, top, width, lens, constants)
-            corners = visible_corners(outline, there, cut, corners_of(nodes), before, tolerance, constants)
+            corners = visible_corners(outline, there, cut, corners_of(nodes), usual, tolerance, constants)
             border, seen, folded = complete_border(
                 border_of(nodes),
                 border_of(known),
@@ -142,7 +149,7 @@ def step_sheet(
                 corners,
                 cut,
                 kinks,
-                before,
+                usual,
                 tolerance,
                 constants,
             )
@@ -160,16 +167,16 @@ def step_sheet(
                 fault = code, number, 0.0, 0.0
             continue
         off, inside = 0, near_mask(mask, left, top, places, 1)
-        unseen, now, sides_now = np.zeros(len(places), np.bool_), patch, before
+        unseen, now, sides_now = np.zeros(len(places), np.bool_), patch, usual
         if not cold and not metric:
-            unseen = doubtful_places(known, places, min(before[0] / size[1], before[1] / size[0]), constants)
+            unseen = doubtful_places(known, places, min(usual[0] / size[1], usual[1] / size[0]), constants)
         for p in range(len(places)):
             off += not inside[p]
             unseen[p] = unseen[p] or not inside[p]
         if way == _COMPLETED:
             verdict, value = (NO_FAULT, 0, 0.0, 0.0), math.sqrt(np.count_nonzero(seen) / len(seen))
             if len(folded) > 0:
-                hide_folded(folded, before, unseen)
+                hide_folded(folded, usual, unseen)
             elif metric and covered < constants.barely_cut:
                 through = 0
                 for p in range(len(patch)):
@@ -178,7 +185,7 @@ def step_sheet(
                 if through > constants.max_seen_through * len(patch):
                     code = NOTHING_OVER
             if not metric:
-                now, sides_now = known, rescaled(border, seen, before, constants.max_stretch[1] * lasted)
+                now, sides_now = known, rescaled(border, seen, usual, constants.max_stretch[1] * lasted)
         else:
             measures = UNBENT
             if not metric:
@@ -190,12 +197,12 @@ def step_sheet(
             if not cold:
                 outer = border_of(patch if metric else places)
                 code, number = compare_sheet(
-                    outer, border_of(known), before, tolerance, metric, way == _BUCKLED, constants
+                    outer, border_of(known), usual, tolerance, metric, way == _BUCKLED, constants
                 )
             if cold or known.shape[1] < patch.shape[1]:
                 sides_now = side_lengths(border_of(patch))
             elif not (metric and way == _BUCKLED):
-                now, sides_now = learn_sheet(known, patch, before, lasted, constants)
+                now, sides_now = learn_sheet(known, patch, usual, lasted, constants)
         if code != NO_FAULT:
             verdict = code, number, 0.0, 0.0
         if verdict[0] == NO_FAULT or cold or way == _NEAREST or not clear:
@@ -204,7 +211,30 @@ def step_sheet(
             break
     if len(reference) > 0 and reference.shape[1] > learnt.shape[1]:  # this frame has lost its depth
         learnt, lengths = reference, sides
+    for k in range(4):
+        state[0].sides[k] = lengths[k]
     down = right = nothing
     if fault[0] == NO_FAULT:
         down, right = lattice_gauges(pixels.reshape(FINE, FINE, 2))
-    return SheetStep(fault, quality, pixels, hidden, learnt, lengths, down, right, width)
+    return SheetStep(fault, quality, pixels, hidden, state, learnt, down, right, width)
+
+
+@compiled("(ShapeState[::1], f8[:,::1], f8, f8, UniTuple(i8, 4), i8, " + BEFORE_TYPE + ", LatticeConstants[::1])")
+def advance_sheet(
+    state: State, nodes: Array, size: float, width: float, box: Box, area: int, before: Before, model: Model
+) -> Array:
+    """Write into the state of a sheet how it has moved, and return the velocity of its nodes.
+
+    Args:
+        state: ``(1,)`` after this frame; written to.
+        nodes: ``(625, D)`` where they were found.
+        size: Of the lattice.
+        width: Of the sheet; 0 if it is not known.
+        box: Around its mask; ``NO_BOX`` in a cloud.
+        area: Of the mask or cloud; 0 if a part is hidden.
+        before: The track; without nodes in a first frame.
+        model: ``(1,)`` the constants.
+    """
+    known, last, _, _, stamp = before
+    nothing = np.zeros(0)
+    return advance(known[0], state[0], nodes, last, nothing, nothing, stamp, size, width, box, area, 1.0, model[0])[0]

@@ -106,7 +106,7 @@ def stage_picture(result: Result, stage: str) -> Image:
         _draw_samples(drawn, region.gather(max(region.width / 3, 1.0)), scale)
         return drawn
     found = spec.fit(region, None, None, Scene.in_image(Frame(), Clock(), result.size, result.roi.window(result.size)))
-    if found.nodes is None or found.topology is None:
+    if found.track is None:
         return _blank(picture, found.reason or "no form was found")
     _draw_nodes(drawn, found, spec, scale)
     return drawn
@@ -152,10 +152,9 @@ def _draw_samples(picture: Image, samples: Samples, scale: float) -> None:
 
 def _draw_nodes(picture: Image, found: Fit, spec: Configuration, scale: float) -> None:
     """Draw the nodes of a fit and the lines between neighbours, in place."""
-    assert found.nodes is not None
-    assert found.topology is not None
-    nodes = enlarged(found.nodes, scale)
-    for first, second in found.topology.edges():
+    assert found.track is not None
+    nodes = enlarged(found.track.nodes, scale)
+    for first, second in found.track.topology.edges():
         draw_curve(picture, nodes[[first, second]], _LINE, thickness=2)
     for node in nodes:
         _dot(picture, node, 4.0, _BORDER)

@@ -213,7 +213,7 @@ def test_a_centre_outside_the_mask_is_not_valid_though_depth_lies_near_it(intrin
     frame = Frame(None, np.full(mask.shape, 0.7), CameraModel(intrinsics))
     found = Fit(curve, 1.0, observed=region, object_width=region.width, centres=centres)
     scene = Scene.in_image(frame, Clock(), mask.shape, None)
-    shape = shape_of(Centerline(n=3), found, scene, None, "nan")
+    shape = shape_of(Centerline(n=3), found, scene, None, "nan", 1)
     assert shape.visible.tolist() == [True, False, True]
     assert shape.valid.tolist() == [True, False, True]
 

@@ -11,7 +11,7 @@ import pytest
 
 from shape_obs import Centerline, Configuration, Contour, Detection, Intrinsics, ShapeDetector, Surface
 from shape_obs.geometry.topology import Chain
-from shape_obs.tracking.predict import Track, predict
+from shape_obs.tracking.predict import Prediction, Track
 from shape_obs.tracking.register_chain import usual_distance
 from shape_obs.tracking.state import new_rope
 
@@ -120,12 +120,6 @@ def test_an_outline_and_a_sheet_that_turn_and_swell_are_found_in_the_same_places
         assert np.linalg.norm(np.array(found[rate]) - found[30], axis=-1).max() < 2
 
 
-class _Seen:
-    """What a prediction reads of what is observed."""
-
-    resolution, area, box = 1.0, 800, None
-
-
 @pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("ahead", [0.005, 0.02, 0.1])
 def test_predicting_twice_is_predicting_once_for_twice_as_long(rate: int, ahead: float):
@@ -134,13 +128,14 @@ def test_predicting_twice_is_predicting_once_for_twice_as_long(rate: int, ahead:
     nodes, velocity = rng.uniform(0, 300, (12, 2)), rng.uniform(-50, 50, (12, 2))
 
     def at(track: Track, seconds: float) -> Array:
-        found = predict(track, cast("Any", _Seen()), track.stamp + seconds, model)
-        assert found is not None
-        return found.nodes
+        return Prediction(track, track.stamp + seconds, model).nodes
 
-    track = Track(nodes, velocity, 1 / rate, 300.0, 5.0, Chain(12))
-    left = max(track.interval - ahead, 0.0)  # for which the velocity lasts
-    twice = at(track._replace(nodes=at(track, ahead), interval=left, stamp=5.0 + ahead), ahead)
+    track = Track(new_rope(model), nodes, velocity, Chain(12))
+    track.state["interval"], track.state["stamp"] = 1 / rate, 5.0
+    later = track._replace(nodes=at(track, ahead), state=track.state.copy())
+    later.state["interval"] -= min(ahead, 1 / rate)  # for which the velocity lasts
+    later.state["stamp"] += ahead
+    twice = at(later, ahead)
     np.testing.assert_allclose(twice - nodes, at(track, 2 * ahead) - nodes, rtol=0.01, atol=1e-6)
     rope = new_rope(model).view(np.recarray)[0]
     rope.pose_speed = rope.shape_speed = 400.0

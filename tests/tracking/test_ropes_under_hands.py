@@ -10,12 +10,14 @@ import pytest
 
 from shape_obs import Centerline, Intrinsics, ShapeDetector
 from shape_obs.bench.scenes import draw_rope
+from shape_obs.frame import depth_images
 from shape_obs.geometry.polyline import arc_length, resample
+from shape_obs.image.find_region import find_region
+from shape_obs.image.roi import Window
 from shape_obs.tracking.judge_chain import reason_of
 from shape_obs.tracking.model import ChainModel
-from shape_obs.tracking.occluders import FREE, HIDDEN
 from shape_obs.tracking.state import new_rope
-from shape_obs.tracking.step import step_measured_chain
+from shape_obs.tracking.step import step_chain_in_mask
 from tests.benchmarks.hidden import covered_rope, track
 from tests.benchmarks.record import new_detector
 from tests.benchmarks.scenes.recorded_ropes import Setting, record
@@ -322,11 +324,13 @@ def test_it_is_in_doubt_which_end_is_missing_where_a_free_end_may_be_folded_back
     rope = new_rope(ChainModel())
     rope["pixels"], rope["frames"] = 300.0, 10.0
     curve = np.column_stack([np.interp(np.linspace(first, first + 0.7, 64) - 0.5, at, row) for row in nodes.T])
-    nothing, expected = np.zeros(0), (8.0, 1.0, 0.0, 0.0, 1 / 30, 1 / 30, np.inf, 8.0)
-    state, *_ = step_measured_chain(
-        curve, arc_length(curve), np.zeros(64, bool), nothing, nothing, (HIDDEN, FREE), np.zeros((0, 2)), 5.0, 0.0,
-        1680, 16, rope, expected, nodes, nothing, nodes, 0.75, 0.0, False,
-        ChainModel().record,
+    mask, cut = draw_rope(curve, 8.0, size=(480, 640)).mask, round(curve[0, 0]) + 2
+    mask[:, :cut] = 0
+    region = find_region(mask, Window(0, 0, 640, 480), 1, 0.0)
+    before = rope, nodes, np.zeros_like(nodes), np.zeros(0), np.zeros(0), 1 / 30, False, np.inf
+    state, *_ = step_chain_in_mask(
+        region.runs, region.mask, (0, 0, 640, 480), region.box[:4], (cut, 0, 640 - cut, 480), region.area,
+        depth_images(None), np.zeros(0), resample(curve, 16), 8.0, 0.75, False, before, ChainModel().record,
     )  # fmt: skip
     assert state["hidden"][0] == pytest.approx((0.3, 0.0), abs=0.08)
     assert ("in doubt which end" in reason_of(state, "mask")) == in_doubt

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -15,69 +14,64 @@ from shape_obs import detector as detector_module
 from shape_obs.bench.photos import photographed
 from shape_obs.bench.scenes import moving_rope, moving_sheet
 from shape_obs.configurations import centerline
-from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.topology import Chain
+from shape_obs.frame import Frame
+from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
 from shape_obs.tracking import search_window
-from shape_obs.tracking.model import MotionModel
-from shape_obs.tracking.predict import Fit, Prediction, Track, advance, predict
+from shape_obs.tracking.clock import Clock
+from shape_obs.tracking.predict import Prediction, Track
+from shape_obs.tracking.scene import Scene
 from tests.golden.streams import load_stream, play
 from tests.scenes.beams import swinging_beam, tracked_beam
 
-MODEL = MotionModel()
-NODES = np.stack([np.linspace(10, 90, 9), np.full(9, 50.0)], axis=1)
+ROPE = Centerline(n=9)
 
 
-def curve(length: float = 100.0, hidden: bool = False) -> FittedCurve:
-    points = np.stack([np.linspace(0, length, 101), np.full(101, 50.0)], axis=1)
-    return FittedCurve.through(points, np.arange(101) < (30 if hidden else 0))
+def ribbon(row: int = 56, width: float = 8.0) -> np.ndarray:
+    """Return the mask of a straight rope of 240 px; a fraction of a pixel more is a row more for that share of it."""
+    mask = np.zeros((120, 400), np.uint8)
+    mask[row - 4 : row - 4 + int(width), 40:280] = 1
+    mask[row - 4 + int(width), 40 : 40 + round(240 * (width % 1))] = 1
+    return mask
 
 
-def observation(box: Window | None = None, area: int = 800, resolution: float = 1.0) -> Any:
-    """Return the part of an ``Observed`` that tracks read."""
-    return SimpleNamespace(box=box, area=area, resolution=resolution)
-
-
-def found(form: FittedCurve, nodes: np.ndarray = NODES, width: float = 8.0) -> Fit:
-    return Fit(form, 1.0, nodes=nodes, topology=Chain(9), width=width)
-
-
-def first(stamp: float = 0.0, **change) -> Track:
-    return advance(None, found(curve()), observation(Window(0, 46, 100, 8)), stamp, MODEL)._replace(**change)
-
-
-def after(track: Track, shift: float, stamp: float, width: float = 8.0, box: Window | None = None, **form) -> Track:
-    return advance(track, found(curve(**form), NODES + (0, shift), width), observation(box), stamp, MODEL)
-
-
-def predicted(track: Track, stamp: float, **seen: Any) -> Prediction:
-    return predict(track, observation(**seen), stamp, MODEL)
+def tracked(*frames: tuple[np.ndarray, float]) -> Track:
+    """Return the track of a rope after masks with their times, seconds."""
+    track, clock, whole = None, Clock(), Window(0, 0, 400, 120)
+    for mask, now in frames:
+        clock.now = now
+        scene = Scene.in_image(Frame(), clock, mask.shape, whole)
+        before = None if track is None else Prediction(track, now, ROPE.model)
+        track = ROPE.fit(find_region(mask, whole, 1, 0.0), before, None, scene).track
+    assert track is not None
+    return track
 
 
 class TestPrediction:
     def test_most_of_the_last_step_is_made_again(self):
         """With frames 0.1 s apart and 10 px per frame, 8 px are predicted for the next."""
-        track = after(first(), 10.0, 0.1)
-        np.testing.assert_allclose(predicted(track, 0.2).nodes, NODES + (0, 18))
-        np.testing.assert_allclose(predicted(track, 0.15).nodes, NODES + (0, 14))
+        track = tracked((ribbon(40), 1.0), (ribbon(50), 1.1))
+        for seconds, ahead in ((0.1, 8), (0.05, 4)):
+            found = Prediction(track, 1.1 + seconds, ROPE.model).nodes
+            np.testing.assert_allclose(found, track.nodes + (0, ahead), atol=0.05)
 
     def test_nothing_is_extrapolated_beyond_the_last_interval(self):
-        track = after(first(), 10.0, 0.1)
-        np.testing.assert_allclose(predicted(track, 60.0).nodes, NODES + (0, 18))
+        track = tracked((ribbon(40), 1.0), (ribbon(50), 1.1))
+        np.testing.assert_allclose(Prediction(track, 60.0, ROPE.model).nodes, track.nodes + (0, 8), atol=0.05)
 
-    def test_a_stamp_that_stands_still_gives_no_velocity(self):
-        track = after(first(1.0), 10.0, 1.0)
-        np.testing.assert_array_equal(track.velocity, np.zeros((9, 2)))
-        assert after(first(1.0), 10.0, 0.5).interval == 0
-        assert not after(first(0.0), 10.0, 1e-300).velocity.any()
+    @pytest.mark.parametrize("now", [1.0, 0.5, 1.0 + 1e-9])
+    def test_a_time_that_stands_still_gives_no_velocity(self, now: float):
+        track = tracked((ribbon(40), 1.0), (ribbon(50), now))
+        assert not track.velocity.any()
+        assert track.interval == pytest.approx(0.0, abs=1e-6)
 
 
 class TestWidth:
     @pytest.mark.parametrize(
-        ("seen", "kept"), [(8.2, 8.0), (7.8, 8.0), (9.0, 8.16), (4.0, 7.84), (8.26, 8.16), (80.0, 8.16)]
+        ("seen", "kept"), [(8.2, 8.0), (7.8, 8.0), (9.0, 8.16), (4.0, 7.84), (8.4, 8.16), (30.0, 8.16)]
     )
-    def test_noise_is_not_followed_and_a_change_is_followed_slowly(self, seen, kept):
-        assert after(first(), 0.0, 1 / 30, width=seen).width == pytest.approx(kept)
+    def test_noise_is_not_followed_and_a_change_is_followed_slowly(self, seen: float, kept: float):
+        assert tracked((ribbon(), 1.0), (ribbon(width=seen), 1 + 1 / 30)).width == pytest.approx(kept, abs=0.06)
 
 
 @pytest.mark.parametrize(("grown", "starts"), [(4, 0), (40, 1)])

@@ -14,9 +14,8 @@ from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
 from shape_obs.tracking.judge_chain import reason_of
 from shape_obs.tracking.model import ChainModel, LatticeModel, RingModel
-from shape_obs.tracking.occluders import UNKNOWN_TIPS
 from shape_obs.tracking.state import new_rope
-from shape_obs.tracking.step import step_measured_chain
+from shape_obs.tracking.step import step_chain_in_cloud
 from shape_obs.tracking.validation import FitQuality, judge_sheet, sample_spread, sheet_fault, validate_outline
 
 SIZE = (120, 400)
@@ -44,11 +43,11 @@ def judged_ribbon(curve: FittedCurve, observed: Region, expected_off: float) -> 
     samples = observed.gather(min(max(observed.width / 3, 1), 24))
     hidden = min(samples.scale, observed.width) ** 2 / 12
     spread = sample_spread(samples.points, samples.weight, curve.points) + hidden
-    nothing, width, model = np.zeros(0), observed.width, ChainModel()
-    state, *_ = step_measured_chain(
-        curve.points, curve.arc, curve.interpolated, nothing, nothing, *UNKNOWN_TIPS, spread, 0.0, observed.area, 16,
-        new_rope(model), (width, 1.0, 0.0, 0.0, np.inf, 0.0, np.inf, width), np.zeros((0, 2)), nothing,
-        np.zeros((0, 2)), expected_off, 0.0, False, model.record,
+    nothing, none, model = np.zeros(0), np.zeros((0, 2)), ChainModel()
+    before = new_rope(model), none, none, nothing, nothing, 0.0, False, np.inf
+    state, *_ = step_chain_in_cloud(
+        curve.points, curve.interpolated, spread, observed.width, 1.0, observed.area, 16, expected_off, False, before,
+        model.record,
     )  # fmt: skip
     return FitQuality(reason_of(state, observed.noun), float(state["quality"][0]))
 
