@@ -28,7 +28,7 @@ from shape_obs.image.outline_tracing import trace_hole
 from shape_obs.image.region import Region
 from shape_obs.tracking.measure_ring import MIN_SAMPLES, fit_ring_in_cloud, nodes_around
 from shape_obs.tracking.model import RingModel
-from shape_obs.tracking.predict import Before, Fit, Prediction, Track, extrapolated, known_before
+from shape_obs.tracking.predict import Before, Fit, Prediction, Track, known_before
 from shape_obs.tracking.register_ring import first_place
 from shape_obs.tracking.scene import Scene
 from shape_obs.tracking.step_ring import (

@@ -65,15 +65,21 @@ def doubt_of(seen: Seen, tries: list[Attempt | None], *, apart: bool = False) ->
 
     A slot that was lost counts as much as its rope. What may well be, with a rope's ragged border, counts nothing.
     """
-    forms = [each.found for each in tries if each is not None and each.found.form is not None and each.is_found]
-    if not forms:
+    shown = [each for each in tries if each is not None and each.found.form is not None and each.is_found]
+    if not shown:
         return np.inf
+    forms = [each.found for each in shown]
     widths = [found.object_width for found in forms]
+    pixels = [
+        each.found.object_width if each.observed.dimension == 2 else each.observed.parts[-1].width for each in shown
+    ]
     if apart:  # each has pieces of its own: what a curve leaves out of them its own fit has weighed
         beyond = max(seen.region.area - sum(each.observed.area for each in tries if each is not None), 0)
     else:
-        beyond = share(seen.region, [found.form.points for found in forms], widths, CLOSE)[2]
-    area = beyond + sum(doubtful_area(found.form, found.object_width) for found in forms)
+        curves = [in_image(found.form.points, seen.scene) for found in forms]
+        beyond = share(seen.region, curves, pixels, CLOSE)[2]
+    area = beyond / median(pixels) ** 2
+    area += sum(doubtful_area(found.form, found.object_width) for found in forms) / median(widths) ** 2
     lost = sum(
         track.size / width
         for track, each, width in zip(seen.tracks, tries, cycle(widths), strict=False)
@@ -91,7 +97,7 @@ def doubt_of(seen: Seen, tries: list[Attempt | None], *, apart: bool = False) ->
             exchange_gain(one, other, width) for (one, width), (other, _) in combinations(strands, 2)
         )
     grown = 0.0 if apart else grown  # the image's border may cut a rope that meets no other
-    doubt = lost + _GROWN * grown + TURN * bent + area / median(widths) ** 2
+    doubt = lost + _GROWN * grown + TURN * bent + area
     return doubt if doubt > DOUBTFUL else 0.0
 
 

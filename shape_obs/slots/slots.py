@@ -173,7 +173,7 @@ class Slots:
         for at in np.flatnonzero(contested).tolist():  # each is first fitted to what is its own for certain
             again = self._try(known[at], self._part(seen.region, owners, [at]), seen, meets=True)
             if not again.found.reason:
-                curves[at] = again.found.form.points
+                curves[at] = in_image(again.found.form.points, seen.scene)
         met = [known[at] for at in np.flatnonzero(contested).tolist()]
         owners, _, _ = share(seen.region, curves, widths, FOUND)
         for at, k in enumerate(known):

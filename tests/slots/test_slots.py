@@ -239,3 +239,16 @@ def test_ropes_under_a_cloud_have_slots():
         detection = detector.detect_mask(mask, depth, camera)
         assert detection.ok
         assert all(shape.track_id == 1 for shape in detection)
+
+
+def test_ropes_under_a_cloud_may_cross():
+    """One lies over the other and moves along it: each is found where it is."""
+    camera = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
+    detector = ShapeDetector([Centerline(n=10, count=2, lift="cloud", ends="tips")])
+    for frame in range(20):
+        across = [(120 + 3 * frame, 30), (130 + 3 * frame, 120), (155 + 3 * frame, 215)]
+        mask = drawn(LEVEL, across)
+        detection = detector.detect_mask(mask, np.where(mask > 0, 0.6, 0.7).astype(np.float32), camera)
+        assert detection.ok, (frame, detection)
+        for name, rope in (("centerline0", across), ("centerline1", LEVEL)):
+            np.testing.assert_allclose(detection[name].points2d[[0, -1]], [rope[0], rope[2]], atol=6)

@@ -324,7 +324,8 @@ def test_it_is_in_doubt_which_end_is_missing_where_a_free_end_may_be_folded_back
     rope = new_rope(ChainModel())
     rope["pixels"], rope["frames"] = 300.0, 10.0
     curve = np.column_stack([np.interp(np.linspace(first, first + 0.7, 64) - 0.5, at, row) for row in nodes.T])
-    mask, cut = draw_rope(curve, 8.0, size=(480, 640)).mask, round(curve[0, 0]) + 2
+    mask, cut = np.zeros((480, 640), np.uint8), round(curve[0, 0])
+    cv2.polylines(mask, [np.rint(16 * curve).astype(np.int32)], False, 1, 8, cv2.LINE_8, 4)
     mask[:, :cut] = 0
     region = find_region(mask, Window(0, 0, 640, 480), 1, 0.0)
     before = rope, nodes, np.zeros_like(nodes), np.zeros(0), np.zeros(0), 1 / 30, False, np.inf
