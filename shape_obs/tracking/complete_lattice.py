@@ -30,7 +30,7 @@ Mask = npt.NDArray[np.bool_]
 
 _OUTSIDE: Final = 1.5  # pixels from an outline to the first place beyond it, whose pixel is not the object's own
 _LIES_OVER: Final = 0.3  # of the outline where a corner is hidden: next to so much of it something nearer is seen
-_BULGE: Final = 0.3  # of the length of a fold: the outline lies off it by less
+_BULGE: Final = 0.5  # of the height of a corner over its fold: the outline lies off the fold by less
 _STRAIGHT: Final = 3  # points of a side that give the direction in which it goes on
 _WINDOWS: Final = 96  # places along an outline at which depth is read, at least; half as many more at most
 
@@ -207,8 +207,10 @@ def _is_folded(
         for d in range(3):
             along += (space[q, d] - space[begin, d]) * (space[end, d] - space[begin, d]) / length
         bulge = max(bulge, _distance(space[q], space[begin]) ** 2 - along**2)
-    material = abs(_flat_place(piece[1], sides) - _flat_place(piece[0], sides))
-    straight = math.sqrt(bulge) < _BULGE * length and abs(length - material) < tolerance.max()
+    flat, corner = _flat_place(piece[0], sides), _flat_place(SIDE * k, sides)
+    fold = _flat_place(piece[1], sides) - flat
+    height = abs(((corner - flat) * fold.conjugate()).imag) / max(abs(fold), 1e-9)
+    straight = math.sqrt(bulge) < _BULGE * height and abs(length - abs(fold)) < tolerance.max()
     return straight and covered <= _LIES_OVER * (inner + 1)
 
 
