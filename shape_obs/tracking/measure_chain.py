@@ -91,7 +91,7 @@ def fit_chain_in_mask(
     flat = extend_chain(first_coordinates(nodes, 2), mask, at[0], at[1], width)
     lifted = catmull_rom(flat if nodes.shape[1] == 2 else _with_log_depth(flat, nodes), 4, False)
     curve = first_coordinates(lifted, 2)
-    spread = sample_spread(first_coordinates(points, 2), weight, curve)
+    spread = sample_spread(first_coordinates(points, 2), weight, curve) + min(cell, width) ** 2 / 12
     off, on = np.empty(len(curve), np.bool_), near_mask(mask, at[0], at[1], curve, 1)
     for p in range(len(curve)):
         off[p] = not on[p]

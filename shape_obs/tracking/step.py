@@ -19,11 +19,11 @@ from shape_obs.geometry.polyline import arc_length, even_points, interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
 from shape_obs.tracking.complete_chain import complete_chain
 from shape_obs.tracking.judge_chain import judge_chain
-from shape_obs.tracking.measure_chain import fit_chain_in_mask
+from shape_obs.tracking.measure_chain import Measured, fit_chain_in_mask
 from shape_obs.tracking.model import ChainConstants, Model  # noqa: F401 - the first in signatures
 from shape_obs.tracking.occluders import UNKNOWN
 from shape_obs.tracking.predict import NO_BOX, Box, advance, counted, predict
-from shape_obs.tracking.register_chain import Ends, Expected, register_chain
+from shape_obs.tracking.register_chain import Expected, register_chain
 from shape_obs.tracking.state import RopeState, State  # noqa: F401 - the first in a signature
 
 Array = npt.NDArray[np.float64]
@@ -37,6 +37,8 @@ Stepped = tuple[State, Array, Array, Array, Array, Array, Flags, Array, Array, A
 #: A track before a frame, the same of it, and the time now, seconds; whether it was lost for long; how far its nodes
 #: can have moved.
 Before = tuple[State, Array, Array, Array, Array, float, bool, float]
+#: Where a rope is predicted: nodes ``(K, D)``, their log-depth, and what else is expected of it.
+Predicted = tuple[Array, Array, Expected]
 
 # The types of ``Before``.
 _BEFORE: Final = "Tuple((RopeState[::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, b1, f8))"
@@ -74,22 +76,16 @@ def step_chain_in_mask(
     Returns:
         See ``Stepped``.
     """
-    nodes, log_depth, expected = _expect(before, width, 1.0, model[0])
-    start, deep, sigmas = axis, log_depth[:0], _as_array(model[0].sigmas_initial)
+    predicted = _predict(before, width, 1.0, model[0])
+    start, deep, sigmas = axis, lens[:0], _as_array(model[0].sigmas_initial)
     if len(axis) == 0:
-        start, deep = visible_nodes(nodes, log_depth if len(lens) > 0 else deep, before[0])
+        start, deep = visible_nodes(predicted[0], predicted[1] if len(lens) > 0 else deep, before[0])
         # What comes to light, or under a hand, changes the area first.
         steady = abs(area - before[0][0].area) <= model[0].steady * before[0][0].area
         sigmas = _as_array(model[0].sigmas_steady) if steady else _as_array(model[0].sigmas_changed)
     cell = max(int(min(width / 3, _MAX_CELL)), int(math.sqrt(area // _MAX_CELLS)), 1)  # thin ropes keep it
-    curve, arc, flags, metres, deep, spread, spurious, ends, shapes = fit_chain_in_mask(
-        runs, mask, window[:2], start, deep, sigmas, cell, width, depth, lens, edge, model[0]
-    )
-    spread += min(cell, width) ** 2 / 12
-    return _step_chain(
-        curve, arc, flags, metres, deep, ends, shapes, spread, 0.0, area, box, len(start), before, nodes, log_depth,
-        expected, off, spurious, in_metres, model,
-    )  # fmt: skip
+    measured = fit_chain_in_mask(runs, mask, window[:2], start, deep, sigmas, cell, width, depth, lens, edge, model[0])
+    return _step_measured(measured, 0.0, area, box, len(start), before, predicted, off, in_metres, model)
 
 
 @compiled("(f8[:,::1], b1[::1], f8, f8, f8, i8, i8, f8, b1, " + _BEFORE + ", ChainConstants[::1])")
@@ -115,11 +111,10 @@ def step_chain_in_cloud(
     Returns:
         See ``Stepped``.
     """
-    nodes, log_depth, expected = _expect(before, 0.0, resolution, model[0])
-    return _step_chain(
-        points, arc_length(points), flags, log_depth[:0], log_depth[:0], (UNKNOWN, UNKNOWN), np.empty((0, 2)), spread,
-        width, area, NO_BOX, count, before, nodes, log_depth, expected, off, 0.0, in_metres, model,
-    )  # fmt: skip
+    predicted, nothing = _predict(before, 0.0, resolution, model[0]), np.zeros(0)
+    unknown = (UNKNOWN, UNKNOWN), np.empty((0, 2))
+    measured = points, arc_length(points), flags, nothing, nothing, spread, 0.0, *unknown
+    return _step_measured(measured, width, area, NO_BOX, count, before, predicted, off, in_metres, model)
 
 
 @compiled
@@ -132,49 +127,38 @@ def _as_array(values: Any) -> Array:
 
 
 @compiled
-def _expect(before: Before, width: float, resolution: float, model: Any) -> tuple[Array, Array, Expected]:
-    """Predict a rope: return its nodes, their log-depth and what else is expected of it."""
+def _predict(before: Before, width: float, resolution: float, model: Any) -> Predicted:
+    """Predict a rope of a width in the image."""
     known, nodes, velocity, log_depth, depth_rate, now, stale, reach = before
     ahead, deep, motion = predict(known[0], nodes, velocity, log_depth, depth_rate, now, model)
     if len(nodes) == 0:
         return ahead, deep, (width, resolution, 0.0, 0.0, np.inf, 0.0, np.inf)
     seconds = now - known[0].stamp
-    return ahead, deep, (width, resolution, 1.0 if stale else 0.0, motion, seconds, counted(seconds, model), reach)
+    lost = 1.0 if stale else 0.0
+    return ahead, deep, (width, resolution, lost, motion, seconds, counted(seconds, model), reach)
 
 
 @compiled
-def _step_chain(
-    points: Array, arc: Array, flags: Flags, metres: Array, log_depth: Array, ends: Ends, shapes: Array, spread: float,
-    width: float, area: int, box: Box, count: int, before: Before, nodes: Array, node_log_depth: Array,
-    expected: Expected, off: float, spurious: float, in_metres: bool, model: Model,
+def _step_measured(
+    measured: Measured, width: float, area: int, box: Box, count: int, before: Before,
+    predicted: Predicted, off: float, in_metres: bool, model: Model,
 ) -> Stepped:  # fmt: skip
-    """Follow a rope to a curve that was fitted in this frame: register, complete and judge it, and advance its track.
+    """Register, complete and judge a rope that was measured in this frame, and advance its track.
 
     Args:
-        points: ``(P, D)``.
-        arc: ``(P,)`` arc length.
-        flags: ``(P,)`` where it does not lie on what is seen.
-        metres: ``(P,)`` arc length in space; ``(0,)`` if it is not known, or the points are in space.
-        log_depth: ``(P,)`` see ``FittedCurve``; ``(0,)`` without.
-        ends: What is known about both tips, see ``tip_evidence``.
-        shapes: ``(2, 2)`` what they look like, see ``tip_shape``; ``(0, 2)`` if that is not known.
-        spread: Mean square distance of what is seen from the curve.
+        measured: See there.
         width: Of what is seen, in a cloud; 0 in a mask.
         area: Of what is seen, pixels or points.
         box: Around the mask; ``NO_BOX`` in a cloud.
         count: How many nodes a track begins with.
         before: The track.
-        nodes: Predicted.
-        node_log_depth: Theirs.
-        expected: See ``Expected``.
-        off: The share that may be bridged or hidden.
-        spurious: The share that cannot be the rope, see ``fit_chain_in_mask``.
+        predicted: See there.
+        off: As ``step_chain_in_mask`` takes it, and all that follow.
         in_metres: Whether points lie at equal steps in space.
         model: ``(1,)`` the constants.
-
-    Returns:
-        See ``Stepped``.
     """
+    points, arc, flags, metres, log_depth, spread, spurious, ends, shapes = measured
+    nodes, node_log_depth, expected = predicted
     known, last, _, deep_before, _, stamp, stale, _ = before
     state, points, arc, flags, metres, log_depth = register_chain(
         points, arc, flags, metres, log_depth, ends, shapes, known, expected, nodes, node_log_depth, last, model[0]

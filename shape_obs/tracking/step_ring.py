@@ -28,12 +28,15 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]
+#: A curve ``(P, D)``, clockwise as seen; the same in metres ``(P, 3)``, ``(0, 3)`` if that is not known, or the points
+#: are in space; ``(P,)`` where it is not the object's own; how far the outline misses it, in distances of its samples.
+Fitted = tuple[Array, Array, Flags, float]
 #: A curve ``(P, D)``; the same in metres ``(P, 3)``, ``(0, 3)`` where its form is that of the points; its arc length
 #: ``(P + 1,)``; nodes ``(K, D)``; what is known of it now, ``(K, D')``, ``(0, 2)`` if nothing is; how far its
 #: turning can be believed, 0...1; whether too little of it is seen.
 Followed = tuple[Array, Array, Array, Array, Array, float, bool]
 #: A track after a frame: state, nodes, velocity and reference; the curve of ``Followed``, its metres and arc length;
-#: whether too little of it is seen; how far the outline misses the curve, in distances of its samples.
+#: whether too little of it is seen; how far the outline misses the fitted curve.
 Stepped = tuple[State, Array, Array, Array, Array, Array, Array, bool, float]
 #: What was followed; why there is nothing, or ``FOUND``; how many samples the outline has; the width of the largest
 #: component, pixels.
@@ -98,7 +101,8 @@ def step_ring_in_mask(
     if hole < 0:
         z, cut = outline_depth(depth, edge, mask, left, top, curve, width, constants)
         space = deprojected(curve, z, lens)
-    found = _step_ring(curve, space, cut, nodes, count, miss, 1.0, width, lens, box, area, before, model)
+    fitted = curve, space, cut, miss
+    found = _step_fitted(fitted, nodes, count, 1.0, width, lens, box, area, before, model)
     return found, FOUND, samples, width
 
 
@@ -120,11 +124,8 @@ def step_ring_in_cloud(
     Returns:
         See ``Stepped``.
     """
-    nothing, cut = np.empty((0, 3)), np.zeros(len(points), np.bool_)
-    nodes = _predicted(before, model[0])
-    return _step_ring(
-        points, nothing, cut, nodes, count, miss, resolution, 0.0, np.zeros(0), NO_BOX, area, before, model
-    )
+    fitted, nodes = (points, np.empty((0, 3)), np.zeros(len(points), np.bool_), miss), _predicted(before, model[0])
+    return _step_fitted(fitted, nodes, count, resolution, 0.0, np.zeros(0), NO_BOX, area, before, model)
 
 
 @compiled
@@ -135,30 +136,25 @@ def _predicted(before: Before, model: Any) -> Array:
 
 
 @compiled
-def _step_ring(
-    points: Array, space: Array, cut: Flags, nodes: Array, count: int, miss: float, resolution: float, width: float,
-    lens: Array, box: Box, area: int, before: Before, model: Model,
+def _step_fitted(
+    fitted: Fitted, nodes: Array, count: int, resolution: float, width: float, lens: Array, box: Box, area: int,
+    before: Before, model: Model,
 ) -> Stepped:  # fmt: skip
     """Follow an outline to a curve that was fitted in this frame, and advance its track.
 
     Args:
-        points: ``(P, D)``, clockwise as seen.
-        space: ``(P, 3)`` the same in metres; ``(0, 3)`` if that is not known, or the points are in space.
-        cut: ``(P,)`` where it is not the object's own.
+        fitted: See there.
         nodes: ``(K, D)`` predicted.
         count: How many nodes a track begins with.
-        miss: See ``Stepped``.
         resolution: Of the points.
         width: Of the object, pixels; 0 in a cloud.
-        lens: See ``step_ring_in_mask``.
-        box: Around the mask.
+        lens: As ``step_ring_in_mask`` takes it, and all that follow.
+        box: ``NO_BOX`` in a cloud.
         area: Of the mask or cloud.
         before: The track.
         model: ``(1,)`` the constants.
-
-    Returns:
-        See ``Stepped``.
     """
+    points, space, cut, miss = fitted
     known, last, _, reference, stamp = before
     state, constants, usual = known.copy(), model[0], model[0].velocity_share
     if len(nodes) == 0:
@@ -187,9 +183,9 @@ def _follow_ring(
     seen of it.
 
     Args:
-        points: ``(P, D)``, clockwise as seen.
-        space: ``(P, 3)`` the same in metres; ``(0, 3)`` if that is not known, or the points are in space.
-        cut: ``(P,)`` where it is not the object's own.
+        points: As in ``Fitted``, and the next two.
+        space: In metres.
+        cut: Where it is not the object's own.
         nodes: ``(K, D)`` predicted.
         known: ``(K, D')`` the nodes in the past; ``(0, 2)`` if they are not known.
         resolution: Of the points.
