@@ -33,7 +33,7 @@ from shape_obs.tracking.predict import NO_NODES, Fit, Prediction, Track, reverse
 from shape_obs.tracking.register_chain import direction
 from shape_obs.tracking.scene import Scene
 from shape_obs.tracking.state import new_rope
-from shape_obs.tracking.step import Before, step_chain_in_cloud, step_chain_in_mask, visible_nodes
+from shape_obs.tracking.step import NO_CLOUD, NO_MASK, Before, InCloud, step_chain, visible_nodes
 from shape_obs.tracking.validation import sample_spread
 from shape_obs.utils.lengths import warn_unless_metres
 
@@ -133,27 +133,31 @@ class Centerline(Configuration, kind="centerline"):
         return self._step(observed, start, observed.width, off, prediction, scene)
 
     def _step(
-        self, observed: Observed, axis: Array, width: float, off: float, prediction: Prediction | None, scene: Scene
+        self, observed: Observed, start: Array, width: float, off: float, prediction: Prediction | None, scene: Scene
     ) -> Fit:
         """Follow the rope into this frame, from an initial axis or from where it is predicted, see ``tracking.step``.
 
         Args:
             observed: What the rope looks like.
-            axis: ``(K, 2)`` nodes of an initial axis; ``(0, 2)`` starts from the prediction.
+            start: ``(K, D)`` nodes of an initial axis; ``(0, 2)`` starts from the prediction.
             width: Of the rope.
             off: The share of its curve that may be bridged or hidden.
             prediction: What is known of it.
             scene: The frame.
         """
-        before, in_metres, model = self._before(prediction, observed.dimension, scene), self.spacing == "m", self.model
+        image, cloud, area = NO_MASK, NO_CLOUD, observed.area
         if isinstance(observed, Region):
-            stepped = step_chain_in_mask(
-                observed.runs, observed.mask, observed.window[:4], observed.box[:4],
-                (scene.edge or observed.window)[:4], observed.area, scene.images, scene.lens, axis, float(width), off,
-                in_metres, before, model.record,
+            edge = (scene.edge or observed.window)[:4]
+            image = (
+                observed.runs, observed.mask, observed.window[:4], observed.box[:4], edge, scene.images, scene.lens,
             )  # fmt: skip
         else:
-            stepped, width = self._step_in_cloud(cast("Cloud", observed), axis, off, prediction, before)
+            start, cloud = self._fit_cloud(cast("Cloud", observed), start, prediction)
+            width = cloud[3]
+        stepped = step_chain(
+            image, cloud, area, start, float(width) if observed.dimension == 2 else 0.0, off, self.spacing == "m",
+            self._before(prediction, observed.dimension, scene), self.model.record,
+        )  # fmt: skip
         state, nodes, velocity, deep, depth_rate, points, flags, arc, metres, pixels, log_depth = stepped
         first, past = state["shown"][0].tolist()
         curve = FittedCurve(
@@ -167,26 +171,21 @@ class Centerline(Configuration, kind="centerline"):
             bool(state["follow"][0]),
         )  # fmt: skip
 
-    def _step_in_cloud(
-        self, cloud: Cloud, axis: Array, off: float, prediction: Prediction | None, before: Before
-    ) -> tuple[Any, float]:
-        """Follow the rope into a cloud; return the step, and the width of what is seen."""
-        model, samples, start, sigmas = self.model, cloud.samples, axis, self.model.sigmas_initial
-        if len(axis) == 0 and prediction is not None:
-            known = prediction.track
-            start = visible_nodes(prediction.nodes, NO_VALUES, known.state)[0]
-            steady = abs(cloud.area - int(known.state["area"][0])) <= model.steady * int(known.state["area"][0])
+    def _fit_cloud(self, cloud: Cloud, start: Array, prediction: Prediction | None) -> tuple[Array, InCloud]:
+        """Return the nodes from which the map starts in a cloud, and the curve that it ends at."""
+        model, samples, sigmas = self.model, cloud.samples, self.model.sigmas_initial
+        if len(start) == 0 and prediction is not None:
+            known = prediction.track.state
+            start = visible_nodes(prediction.nodes, NO_VALUES, known)[0]
+            steady = abs(cloud.area - int(known["area"][0])) <= model.steady * int(known["area"][0])
             sigmas = model.sigmas_steady if steady else model.sigmas_changed
         curve = catmull_rom(cloud.extend_to_tips(run_som(samples, start, Chain(len(start)), sigmas)), 4, False)
         spread = sample_spread(np.ascontiguousarray(samples.points), np.ascontiguousarray(samples.weight), curve)
-        stepped = step_chain_in_cloud(
-            curve, ~cloud.carries(curve), spread + cloud.hidden_variance, cloud.ribbon_width, cloud.resolution,
-            cloud.area, len(start), off, self.spacing == "m", before, model.record,
-        )  # fmt: skip
-        return stepped, cloud.ribbon_width
+        spread += cloud.hidden_variance
+        return start, (curve, ~cloud.carries(curve), spread, cloud.ribbon_width, cloud.resolution)
 
     def _before(self, prediction: Prediction | None, dimension: int, scene: Scene) -> Before:
-        """Return the track before a frame, as ``step_chain_in_mask`` takes it."""
+        """Return the track before a frame, as ``step_chain`` takes it."""
         if prediction is None:
             nodes = np.empty((0, dimension))
             state = new_rope(self.model, self.length or 0.0)
@@ -213,10 +212,10 @@ class Centerline(Configuration, kind="centerline"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        masks = step_chain_in_mask, points_along, direction
+        masks = step_chain, points_along, direction
         masks += sharp_bends, local_stretch, leave_out_overlaid, crossing_table, upper_strands
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
-        clouds += step_chain_in_cloud, visible_nodes
+        clouds += (visible_nodes,)
         return masks + AXIS_FUNCTIONS + clouds
 
 

@@ -28,17 +28,18 @@ from shape_obs.image.outline_tracing import trace_hole
 from shape_obs.image.region import Region
 from shape_obs.tracking.measure_ring import MIN_SAMPLES, fit_ring_in_cloud, nodes_around
 from shape_obs.tracking.model import RingModel
-from shape_obs.tracking.predict import Before, Fit, Prediction, Track, known_before
+from shape_obs.tracking.predict import Fit, Prediction, Track, known_before
 from shape_obs.tracking.register_ring import first_place
 from shape_obs.tracking.scene import Scene
 from shape_obs.tracking.step_ring import (
     FOUND,
+    NO_CLOUD,
     NO_HOLE,
+    NO_MASK,
     NOT_HOLLOW,
     TOO_SMALL,
-    RingStep,
-    step_ring_in_cloud,
-    step_ring_in_mask,
+    InCloud,
+    step_ring,
 )
 from shape_obs.tracking.validation import validate_outline
 
@@ -83,14 +84,18 @@ class Contour(Configuration, kind="contour"):
     def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Fit a ring of nodes to this frame's own outline; number it as the track does, or by the paper's rule."""
         before = known_before(prediction, observed.dimension, scene.clock.now)
+        image, cloud = NO_MASK, NO_CLOUD
         if isinstance(observed, Region):
             own, around = scene.around(observed)
-            step = step_ring_in_mask(
-                *own, *around, observed.box[:4], observed.area, -1 if self.hole is None else self.hole, self.ring,
-                NO_VALUES if target is None else target, before, self.model.record,
-            )  # fmt: skip
+            image = *own, *around, observed.box[:4]
         else:
-            step = self._step_in_cloud(cast("Cloud", observed), prediction, target, before)
+            why, cloud = self._fit_cloud(cast("Cloud", observed), prediction, target)
+            if why != FOUND:
+                return Fit(reason=self._rejection_reason(why, observed, len(cloud[0]), 0.0))
+        step = step_ring(
+            image, cloud, observed.area, -1 if self.hole is None else self.hole, self.ring,
+            NO_VALUES if target is None else target, before, self.model.record,
+        )  # fmt: skip
         (state, nodes, velocity, known, points, space, arc, unseen, miss), why, samples, width = step
         if why != FOUND:
             return Fit(reason=self._rejection_reason(why, observed, samples, width))
@@ -100,14 +105,12 @@ class Contour(Configuration, kind="contour"):
         track = Track(state, nodes, velocity, Ring(len(nodes)), reference=known)
         return Fit(form, quality, reason, track, observed, width)
 
-    def _step_in_cloud(
-        self, cloud: Cloud, prediction: Prediction | None, target: Array | None, before: Before
-    ) -> RingStep:
-        """Follow an outline into a cloud, or find it there; see ``step_ring_in_mask``."""
+    def _fit_cloud(self, cloud: Cloud, prediction: Prediction | None, target: Array | None) -> tuple[int, InCloud]:
+        """Return why a cloud has no outline, or ``FOUND``, and the curve that the map finds in it."""
         samples, outline = cloud.outline_samples(), np.ascontiguousarray(cloud.outline_curve().points)
         why = NO_HOLE if self.hole is not None else TOO_SMALL if len(outline) < MIN_SAMPLES else FOUND
         if why != FOUND:
-            return (*before[:4], outline, outline, NO_VALUES, True, np.inf), why, len(outline), 0.0
+            return why, (outline, 0, np.inf, cloud.resolution)
         count, start = nodes_around(len(outline), self.model.node_spacing), outline[0]
         if prediction is not None:
             nodes = prediction.nodes
@@ -118,8 +121,7 @@ class Contour(Configuration, kind="contour"):
         if prediction is None:
             curve = FittedCurve.through(points, np.zeros(len(points), bool), True)
             points = self.apply_index_order(curve, cloud.seen(points, target), target).points
-        stepped = step_ring_in_cloud(points, count, miss, cloud.resolution, cloud.area, before, self.model.record)
-        return stepped, why, len(outline), 0.0
+        return why, (points, count, miss, cloud.resolution)
 
     def _rejection_reason(self, why: int, observed: Observed, samples: int, width: float) -> str:
         """Return in words why an object has no such outline."""
@@ -153,9 +155,9 @@ class Contour(Configuration, kind="contour"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        clouds = nodes_around, fit_ring_in_cloud, step_ring_in_cloud, arc_length, catmull_rom, interpolate
+        clouds = nodes_around, fit_ring_in_cloud, arc_length, catmull_rom, interpolate
         clustered = trace_hole, material_outline
-        return step_ring_in_mask, *clouds, *clustered, first_place, starting_at, points_around
+        return step_ring, *clouds, *clustered, first_place, starting_at, points_around
 
 
 @compiled("(f8[:,::1], f8[::1], f8[:,::1], i8)")

@@ -1,7 +1,7 @@
 """Step: one frame of a rope in one compiled call, from what is seen to its state.
 
-A rope is measured, registered, completed and judged. Every frame of it goes this way, the first one too, which starts
-from an initial axis, with nothing known of the rope.
+A rope is predicted, measured, registered, completed and judged, and its track advances. Every frame of it goes this
+way, the first one too, which starts from an initial axis, with nothing known of the rope.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.frame import DEPTH_TYPE, DepthImages
-from shape_obs.geometry.curve import first_coordinates, with_log_depth
+from shape_obs.frame import DEPTH_TYPE, DepthImages, depth_images
+from shape_obs.geometry.curve import NO_VALUES, first_coordinates, with_log_depth
 from shape_obs.geometry.polyline import arc_length, even_points, interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
 from shape_obs.tracking.complete_chain import complete_chain
 from shape_obs.tracking.judge_chain import judge_chain
-from shape_obs.tracking.measure_chain import Measured, fit_chain_in_mask
+from shape_obs.tracking.measure_chain import fit_chain_in_mask
 from shape_obs.tracking.model import ChainConstants, Model  # noqa: F401 - the first in signatures
 from shape_obs.tracking.occluders import UNKNOWN
 from shape_obs.tracking.predict import NO_BOX, Box, advance, counted, predict
-from shape_obs.tracking.register_chain import Expected, register_chain
+from shape_obs.tracking.register_chain import register_chain
 from shape_obs.tracking.state import RopeState, State  # noqa: F401 - the first in a signature
 
 Array = npt.NDArray[np.float64]
@@ -37,84 +37,98 @@ Stepped = tuple[State, Array, Array, Array, Array, Array, Flags, Array, Array, A
 #: A track before a frame, the same of it, and the time now, seconds; whether it was lost for long; how far its nodes
 #: can have moved.
 Before = tuple[State, Array, Array, Array, Array, float, bool, float]
-#: Where a rope is predicted: nodes ``(K, D)``, their log-depth, and what else is expected of it.
-Predicted = tuple[Array, Array, Expected]
+#: A mask: ``(R, 3)`` its runs; ``(h, w)`` uint8; left, top, width and height in the image of itself, of what is in it,
+#: and of the part of the image that is searched; the frame's depth, see ``frame.depth_images``, both empty without
+#: depth or a camera; the projection, see ``Intrinsics.lens``, ``(0,)`` without one.
+InMask = tuple[Indices, Mask, Box, Box, Box, DepthImages, Array]
+#: A curve through a cloud, from tip to tip, ``(P, 3)``; where it does not lie on what is seen ``(P,)``; the mean square
+#: distance of the points from it; their width; their resolution.
+InCloud = tuple[Array, Flags, float, float, float]
 
-# The types of ``Before``.
+# The types of ``Before``, ``InMask`` and ``InCloud``.
 _BEFORE: Final = "Tuple((RopeState[::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, b1, f8))"
+_IN_MASK: Final = f"Tuple((i8[:,::1], u1[:,::1], {', '.join(3 * ['UniTuple(i8, 4)'])}, {DEPTH_TYPE}, f8[::1]))"
+_IN_CLOUD: Final = "Tuple((f8[:,::1], b1[::1], f8, f8, f8))"
+NO_MASK: Final[InMask] = (
+    np.zeros((0, 3), np.int64), np.zeros((0, 0), np.uint8), NO_BOX, NO_BOX, NO_BOX, depth_images(None), NO_VALUES,
+)  # fmt: skip
+NO_CLOUD: Final[InCloud] = np.zeros((0, 2)), np.zeros(0, bool), 0.0, 0.0, 1.0
+
 _FEWEST: Final = 6  # nodes of a visible piece
 _MAX_CELL: Final = 24  # pixels: the edge of a cell of a very wide rope
 _MAX_CELLS: Final = 4096  # about; more change nothing and cost time
 
 
-@compiled(
-    "(i8[:,::1], u1[:,::1], UniTuple(i8, 4), UniTuple(i8, 4), UniTuple(i8, 4), i8, " + DEPTH_TYPE + ", f8[::1], "
-    "f8[:,::1], f8, f8, b1, " + _BEFORE + ", ChainConstants[::1])"
-)
-def step_chain_in_mask(
-    runs: Indices, mask: Mask, window: Box, box: Box, edge: Box, area: int, depth: DepthImages, lens: Array,
-    axis: Array, width: float, off: float, in_metres: bool, before: Before, model: Model,
+@compiled(f"({_IN_MASK}, {_IN_CLOUD}, i8, f8[:,::1], f8, f8, b1, {_BEFORE}, ChainConstants[::1])")
+def step_chain(
+    image: InMask, cloud: InCloud, area: int, start: Array, width: float, off: float, in_metres: bool, before: Before,
+    model: Model,
 ) -> Stepped:  # fmt: skip
-    """Follow a rope into a mask.
+    """Follow a rope into a frame, or find it there: predict, measure, register, complete and judge it.
 
     Args:
-        runs: ``(R, 3)`` of the mask; at least one.
-        mask: ``(h, w)`` uint8, C-contiguous.
-        window: Left, top, width and height of the mask in the image, pixels.
-        box: The same of what is in it.
-        edge: The same of the part of the image that is searched.
-        area: Of the mask, pixels.
-        depth: The frame's, see ``frame.depth_images``; both empty without depth or a camera.
-        lens: The projection, see ``Intrinsics.lens``; ``(0,)`` without one.
-        axis: ``(K, 2)`` nodes of an initial axis; ``(0, 2)`` starts from where the rope is predicted.
-        width: Of the rope, pixels.
+        image: The mask; ``NO_MASK`` if there is a cloud.
+        cloud: The cloud; ``NO_CLOUD`` if there is a mask.
+        area: Of what is seen, pixels or points.
+        start: ``(K, D)`` nodes of an initial axis; ``(0, 2)`` starts from where the rope is predicted.
+        width: Of the rope, pixels; 0 in a cloud.
         off: The share of the curve that may be bridged or hidden.
         in_metres: Whether the rope's points lie at equal steps in space.
         before: The track; without nodes at a cold start.
         model: ``(1,)`` the constants.
-
-    Returns:
-        See ``Stepped``.
     """
-    predicted = _predict(before, width, 1.0, model[0])
-    start, deep, sigmas = axis, lens[:0], _as_array(model[0].sigmas_initial)
-    if len(axis) == 0:
-        start, deep = visible_nodes(predicted[0], predicted[1] if len(lens) > 0 else deep, before[0])
-        # What comes to light, or under a hand, changes the area first.
-        steady = abs(area - before[0][0].area) <= model[0].steady * before[0][0].area
-        sigmas = _as_array(model[0].sigmas_steady) if steady else _as_array(model[0].sigmas_changed)
-    cell = max(int(min(width / 3, _MAX_CELL)), int(math.sqrt(area // _MAX_CELLS)), 1)  # thin ropes keep it
-    measured = fit_chain_in_mask(runs, mask, window[:2], start, deep, sigmas, cell, width, depth, lens, edge, model[0])
-    return _step_measured(measured, 0.0, area, box, len(start), before, predicted, off, in_metres, model)
+    runs, mask, window, box, edge, depth, lens = image
+    points, flags, spread, breadth, resolution = cloud
+    known, last, velocity, deep_before, depth_rate, stamp, stale, reach = before
+    constants, was, cold, nothing = model[0], known[0], len(last) == 0, lens[:0]
 
+    nodes, node_log_depth, motion = predict(was, last, velocity, deep_before, depth_rate, stamp, constants)
+    seconds = np.inf if cold else stamp - was.stamp
+    lasted = 0.0 if cold else counted(seconds, constants)
+    expected = width, resolution, 1.0 if stale else 0.0, motion, seconds, lasted, reach
 
-@compiled("(f8[:,::1], b1[::1], f8, f8, f8, i8, i8, f8, b1, " + _BEFORE + ", ChainConstants[::1])")
-def step_chain_in_cloud(
-    points: Array, flags: Flags, spread: float, width: float, resolution: float, area: int, count: int, off: float,
-    in_metres: bool, before: Before, model: Model,
-) -> Stepped:  # fmt: skip
-    """Follow a rope to a curve that was fitted to a cloud.
+    arc, metres, log_depth, spurious, seen_area = arc_length(points), nothing, nothing, 0.0, 0.0
+    ends, shapes = (UNKNOWN, UNKNOWN), np.empty((0, 2))
+    if len(points) == 0:
+        deep, sigmas, seen_area = nothing, _as_array(constants.sigmas_initial), float(area)
+        if len(start) == 0:
+            start, deep = visible_nodes(nodes, node_log_depth if len(lens) > 0 else nothing, known)
+            # What comes to light, or under a hand, changes the area first.
+            steady = abs(area - was.area) <= constants.steady * was.area
+            sigmas = _as_array(constants.sigmas_steady) if steady else _as_array(constants.sigmas_changed)
+        cell = max(int(min(width / 3, _MAX_CELL)), int(math.sqrt(area // _MAX_CELLS)), 1)  # thin ropes keep it
+        points, arc, flags, metres, log_depth, spread, spurious, ends, shapes = fit_chain_in_mask(
+            runs, mask, window[:2], start, deep, sigmas, cell, width, depth, lens, edge, constants
+        )
 
-    Args:
-        points: ``(P, 3)``.
-        flags: ``(P,)`` where it does not lie on what is seen.
-        spread: Mean square distance of what is seen from the curve.
-        width: Of what is seen.
-        resolution: Of the cloud.
-        area: How many points it has.
-        count: How many nodes a track begins with.
-        off: As ``step_chain_in_mask`` takes it, and all that follow.
-        in_metres: Whether points lie at equal steps in space.
-        before: The track.
-        model: ``(1,)`` the constants.
+    state, points, arc, flags, metres, log_depth = register_chain(
+        points, arc, flags, metres, log_depth, ends, shapes, known, expected, nodes, node_log_depth, last, constants
+    )
 
-    Returns:
-        See ``Stepped``.
-    """
-    predicted, nothing = _predict(before, 0.0, resolution, model[0]), np.zeros(0)
-    unknown = (UNKNOWN, UNKNOWN), np.empty((0, 2))
-    measured = points, arc_length(points), flags, nothing, nothing, spread, 0.0, *unknown
-    return _step_measured(measured, width, area, NO_BOX, count, before, predicted, off, in_metres, model)
+    now, pixels = state[0], nothing
+    if not now.plain:
+        points, arc, flags, metres, pixels, log_depth = complete_chain(
+            points, arc, flags, metres, log_depth, known, state, width if cold else was.width, lasted, nodes,
+            node_log_depth, constants,
+        )  # fmt: skip
+    stations = metres if len(metres) > 0 else pixels if len(pixels) > 0 else arc
+    _show(now, stations)
+    found = even_points(points, stations, len(start) if cold else len(nodes), True)
+    deep, now.steep = log_depth, 1.0
+    if len(log_depth) > 0:
+        deep = even_points(log_depth.reshape(-1, 1), stations, len(found), True).reshape(len(found))
+        now.steep = arc_length(with_log_depth(points, log_depth))[-1] / max(arc[-1], 1e-9)
+
+    begins = cold or (stale and max(now.hidden[0], now.hidden[1]) <= now.tolerance)
+    judge_chain(
+        was, now, points, arc, flags, metres, log_depth, spread, breadth, width, seen_area, off, spurious, begins,
+        in_metres and not cold, constants,
+    )  # fmt: skip
+    velocity, depth_rate = advance(
+        was, now, found, last, deep, deep_before, stamp, arc[-1], now.seen_width, box, 0 if flags.any() else area, 1.0,
+        constants,
+    )  # fmt: skip
+    return state, found, velocity, deep, depth_rate, points, flags, arc, metres, pixels, log_depth
 
 
 @compiled
@@ -124,68 +138,6 @@ def _as_array(values: Any) -> Array:
     for k in range(len(values)):
         out[k] = values[k]
     return out
-
-
-@compiled
-def _predict(before: Before, width: float, resolution: float, model: Any) -> Predicted:
-    """Predict a rope of a width in the image."""
-    known, nodes, velocity, log_depth, depth_rate, now, stale, reach = before
-    ahead, deep, motion = predict(known[0], nodes, velocity, log_depth, depth_rate, now, model)
-    if len(nodes) == 0:
-        return ahead, deep, (width, resolution, 0.0, 0.0, np.inf, 0.0, np.inf)
-    seconds = now - known[0].stamp
-    lost = 1.0 if stale else 0.0
-    return ahead, deep, (width, resolution, lost, motion, seconds, counted(seconds, model), reach)
-
-
-@compiled
-def _step_measured(
-    measured: Measured, width: float, area: int, box: Box, count: int, before: Before,
-    predicted: Predicted, off: float, in_metres: bool, model: Model,
-) -> Stepped:  # fmt: skip
-    """Register, complete and judge a rope that was measured in this frame, and advance its track.
-
-    Args:
-        measured: See there.
-        width: Of what is seen, in a cloud; 0 in a mask.
-        area: Of what is seen, pixels or points.
-        box: Around the mask; ``NO_BOX`` in a cloud.
-        count: How many nodes a track begins with.
-        before: The track.
-        predicted: See there.
-        off: As ``step_chain_in_mask`` takes it, and all that follow.
-        in_metres: Whether points lie at equal steps in space.
-        model: ``(1,)`` the constants.
-    """
-    points, arc, flags, metres, log_depth, spread, spurious, ends, shapes = measured
-    nodes, node_log_depth, expected = predicted
-    known, last, _, deep_before, _, stamp, stale, _ = before
-    state, points, arc, flags, metres, log_depth = register_chain(
-        points, arc, flags, metres, log_depth, ends, shapes, known, expected, nodes, node_log_depth, last, model[0]
-    )
-    was, now, pixels, cold = known[0], state[0], arc[:0], len(nodes) == 0
-    if not now.plain:
-        points, arc, flags, metres, pixels, log_depth = complete_chain(
-            points, arc, flags, metres, log_depth, known, state, expected[0] if cold else was.width, expected[5],
-            nodes, node_log_depth, model[0],
-        )  # fmt: skip
-    stations = metres if len(metres) > 0 else pixels if len(pixels) > 0 else arc
-    _show(now, stations)
-    found = even_points(points, stations, count if cold else len(nodes), True)
-    deep, now.steep = log_depth, 1.0
-    if len(log_depth) > 0:
-        deep = even_points(log_depth.reshape(-1, 1), stations, len(found), True).reshape(len(found))
-        now.steep = arc_length(with_log_depth(points, log_depth))[-1] / max(arc[-1], 1e-9)
-    begins = cold or (stale and max(now.hidden[0], now.hidden[1]) <= now.tolerance)
-    judge_chain(
-        was, now, points, arc, flags, metres, log_depth, spread, width, expected[0],
-        float(area) if box[2] > 0 else 0.0, off, spurious, begins, in_metres and not cold, model[0],
-    )  # fmt: skip
-    velocity, depth_rate = advance(
-        was, now, found, last, deep, deep_before, stamp, arc[-1], now.seen_width, box, 0 if flags.any() else area, 1.0,
-        model[0],
-    )  # fmt: skip
-    return state, found, velocity, deep, depth_rate, points, flags, arc, metres, pixels, log_depth
 
 
 @compiled("(f8[:,::1], f8[::1], RopeState[::1])")

@@ -17,7 +17,7 @@ from shape_obs.image.roi import Window
 from shape_obs.tracking.judge_chain import reason_of
 from shape_obs.tracking.model import ChainModel
 from shape_obs.tracking.state import new_rope
-from shape_obs.tracking.step import step_chain_in_mask
+from shape_obs.tracking.step import NO_CLOUD, step_chain
 from tests.benchmarks.hidden import covered_rope, track
 from tests.benchmarks.record import new_detector
 from tests.benchmarks.scenes.recorded_ropes import Setting, record
@@ -329,10 +329,10 @@ def test_it_is_in_doubt_which_end_is_missing_where_a_free_end_may_be_folded_back
     mask[:, :cut] = 0
     region = find_region(mask, Window(0, 0, 640, 480), 1, 0.0)
     before = rope, nodes, np.zeros_like(nodes), np.zeros(0), np.zeros(0), 1 / 30, False, np.inf
-    state, *_ = step_chain_in_mask(
-        region.runs, region.mask, (0, 0, 640, 480), region.box[:4], (cut, 0, 640 - cut, 480), region.area,
-        depth_images(None), np.zeros(0), resample(curve, 16), 8.0, 0.75, False, before, ChainModel().record,
-    )  # fmt: skip
+    edge = cut, 0, 640 - cut, 480
+    image = region.runs, region.mask, (0, 0, 640, 480), region.box[:4], edge, depth_images(None), np.zeros(0)
+    model = ChainModel().record
+    state, *_ = step_chain(image, NO_CLOUD, region.area, resample(curve, 16), 8.0, 0.75, False, before, model)
     assert state["hidden"][0] == pytest.approx((0.3, 0.0), abs=0.08)
     assert ("in doubt which end" in reason_of(state, "mask")) == in_doubt
 
