@@ -50,7 +50,7 @@ def test_what_is_cropped_away_around_an_object_decides_nothing(name: str):
 
 @pytest.mark.parametrize("name", STREAMS)
 def test_an_image_of_twice_the_size_decides_nothing(name: str):
-    """The staircase of a mask's border is two pixels high then, so single points may differ, and one frame of thirty."""
+    """The staircase of a mask's border is as large as two pixels, so single points may differ, and one frame."""
     stream = load_stream(name)
     lens = None if stream.camera is None else stream.camera.intrinsics
     size = {} if lens is None else {
