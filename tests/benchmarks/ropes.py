@@ -189,7 +189,8 @@ def jitter(scene: tuple[str, float, Configuration, list[Mask]]) -> Row:
     shapes, squares = at_rest(spec, masks)
     first, last = (np.mean([shape.pixels for shape in some], axis=0) for some in (shapes[:6], shapes[-6:]))
     drift, refused = float(np.linalg.norm(last - first, axis=-1).mean()), sum(not shape.ok for shape in shapes)
-    return Row(object=name, noise=noise, refused=refused, rms=float(np.sqrt(squares.mean())), drift=drift)
+    rms = float(np.sqrt(squares.mean()))
+    return Row(object=name, noise=noise, frames=len(masks), refused=refused, rms=rms, drift=drift)
 
 
 def follow_rope(scene: tuple[int, float]) -> Row:
