@@ -85,11 +85,11 @@ def isometry_in_space(space: Array, rows: int, cols: int, model: Model) -> tuple
         model: ``(1,)`` the constants.
     """
     off, gap, short, long = np.zeros((FINE, FINE)), np.inf, 0.0, 0.0
-    measured, noise = model[0].min_measured, model[0].row_noise
+    noise = model[0].row_noise
     for down in range(2):
         ways, lengths = np.full((FINE, FINE), np.nan), np.full(FINE, np.nan)
         for i in range(1, _LAST):
-            last, seen, way = 0, 0, 0.0
+            last, way = 0, 0.0
             for k in range(1, _LAST):
                 p, q = (k * FINE + i, last * FINE + i) if down else (i * FINE + k, i * FINE + last)
                 if math.isfinite(space[p, 0]):
@@ -97,8 +97,8 @@ def isometry_in_space(space: Array, rows: int, cols: int, model: Model) -> tuple
                     for d in range(3):
                         square += (space[p, d] - space[q, d]) ** 2
                     way += math.sqrt(square) if last else 0.0
-                    ways[i, k], last, seen = way, k, seen + 1
-            if seen >= measured * (FINE - 2) and last == _LAST - 1 and ways[i, 1] == 0:
+                    ways[i, k], last = way, k
+            if last == _LAST - 1 and ways[i, 1] == 0:
                 lengths[i] = way
         whole = np.nanmedian(lengths)
         if whole > 0:

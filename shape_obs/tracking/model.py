@@ -168,7 +168,6 @@ class OutlineModel(MotionModel):
     max_reach: float = 5.0  # pixels: that reach at most
     min_depth: float = 0.5  # of the pixels around a point: with less depth, a plane through them is off next to a hole
     edge_reach: float = 7.0  # pixels beyond an outline, where depth is looked for: a camera has none next to an edge
-    form_noise: float = 0.5  # pixels: what is nearer to the known form is off by noise
 
 
 @dataclass(frozen=True)
@@ -222,27 +221,23 @@ class LatticeModel(OutlineModel):
     corner_spread: _Pair = (0.035, 0.12)  # half diagonals: of one from where the others put it; tilt moves it in space
     shift_spread: float = 0.3  # half diagonals: standard deviation of the motion of all corners
     scale_spread: float = 0.15  # standard deviation of the logarithm of their scale
-    min_scale: float = 0.5  # times: corners do not come so much nearer to each other
     cost_of_hiding: float = 3.0  # squared standard deviations: of a hidden corner
     cost_of_detour: float = 2.0  # squared standard deviations: at most, of a long side with something over its middle
 
     # Register: sides, and what hides a part of them.
     length_tolerance: _Pair = (0.04, 0.07)  # of a side: its length may be off by so much
     border_noise: float = 2.0  # pixels: a length and a border may be off by so much
-    max_zoom: float = 0.03  # of the size, in a frame: all sides in an image grow and shrink together
     cut_turn: _Pair = (0.38, 0.6)  # radians by which a border turns where something hides it: on a side; at a corner
     dent: _Pair = (0.035, 1.5)  # of a side and pixels: what is farther from a border's form is not its own
     outlier: float = 2.5  # median distances: what is nearer to the known form has bent with the rest of the sheet
-    hidden_place: _Pair = (0.3, 1.0)  # of a gap and pixels: nodes in an image farther from the known form are hidden
+    hidden_place: float = 0.3  # of a gap: nodes in an image farther from the known form are hidden
 
     # Complete.
     border_bend: _Pair = (0.05, 0.12)  # of the way from a corner: a border is followed while it is no farther off
     own_length: float = 2.0  # tolerances: a side that is off by less between two corners in sight is all its own
     trimmed: float = 1.0  # points of a border before it leaves its form, and next to a corner, which are not used
     max_misfit: float = 0.06  # of the size: RMS distance of what is seen of a border from the known one
-    barely_cut: float = 0.1  # of the outline, next to which something nearer is seen, as a gripper is
-    behind: float = 0.01  # metres: what is farther behind a sheet would be hidden by it
-    max_seen_through: float = 0.02  # of a sheet: the border of what is put back may be a little outside
+    max_seen_through: float = 0.02  # of a sheet, behind which depth is seen: what is put back may be a little outside
     inner: float = 0.06  # of the width from its border: there the plane of a sheet is measured
     fold_turn: float = 0.45  # radians by which a border turns within the sheet at a fold, and else at corners alone
 
@@ -253,7 +248,6 @@ class LatticeModel(OutlineModel):
     # Judge a lattice. Of real towels no side turns by more than 36 degrees or winds by more than 7 %, and no areas vary
     # by more than 15 %; T-shirts and shorts begin there.
     max_skew: float = 55.0  # degrees by which a corner may miss a right angle
-    max_folds: float = 0.01  # of the cells that lie next to one that is upside down, as one may at a round corner
     kink: _Pair = (25.0, 60.0)  # degrees by which a side turns: in wrinkles, and at most
     max_winding: float = 0.20  # of the way from corner to corner: excess length of a side
     max_uneven: float = 0.40  # variation of the areas of cells
@@ -263,7 +257,6 @@ class LatticeModel(OutlineModel):
     # Judge by depth whether it is folded or crumpled (``tests.benchmarks sheets.crumpled``). Of 170 simulated cloths
     # that were dropped, dragged and folded, all within these shares were at most half a cell off on average; of 60 in
     # waves one was not within them, under 2 mm of noise.
-    min_measured: float = 0.8  # of the nodes of a row: so many need depth, so that its length is known
     flying: float = 2.0  # pixels from the border, whose depth may be between the sheet's and that of what is behind
     smeared: float = 3.0  # pixels from the border, whose depth may be that of what is behind
     step: float = 0.005  # metres between two samples: two layers of a towel, 5 times a D455's noise at 0.7 m

@@ -114,8 +114,8 @@ def step_sheet(
         return SheetStep(fault, quality, pixels, hidden, state, learnt, nothing, nothing, width)
     outline = sheet_outline(material_outline(traced, False)[1])
     z, cut = outline_depth(depth, edge, mask, left, top, outline.points, width, constants)
-    space, covered = deprojected(outline.points, z, lens), np.count_nonzero(cut) / AROUND
-    cold, clear, deep = len(nodes) == 0, covered == 0, len(space) > 0
+    space = deprojected(outline.points, z, lens)
+    cold, clear, deep = len(nodes) == 0, not cut.any(), len(space) > 0
     space = space if deep else outline.points
     known, usual, tolerance = reference, sides, np.empty(4)
     if not cold and (len(reference) == 0 or reference.shape[1] > space.shape[1]):
@@ -129,7 +129,7 @@ def step_sheet(
         if cold:
             possible = way == _BEST
         elif way == _BUCKLED:
-            possible = deep and covered < constants.barely_cut
+            possible = deep
         else:
             possible = clear or way == _COMPLETED
         if not possible:
@@ -177,11 +177,11 @@ def step_sheet(
             verdict, value = (NO_FAULT, 0, 0.0, 0.0), math.sqrt(np.count_nonzero(seen) / len(seen))
             if len(folded) > 0:
                 hide_folded(folded, usual, unseen)
-            elif metric and covered < constants.barely_cut:
+            elif metric:
                 through = 0
                 for p in range(len(patch)):
                     behind = depth_at(depth, places[p, 0], places[p, 1]) if not inside[p] else 0.0
-                    through += behind > patch[p, 2] + constants.behind
+                    through += behind > patch[p, 2] + constants.nearer
                 if through > constants.max_seen_through * len(patch):
                     code = NOTHING_OVER
             if not metric:

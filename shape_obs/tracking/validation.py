@@ -125,7 +125,7 @@ def judge_sheet(
     most, (corner, folds, winding, uneven) = model[0], measures
     wrinkled, sharpest = most.kink[0], most.kink[1]
     values = moved, off, abs(corner - 90), folds, kink, winding, uneven
-    limits = freedom, most.max_off, most.max_skew, most.max_folds, sharpest, most.max_winding, most.max_uneven
+    limits = freedom, most.max_off, most.max_skew, 0.0, sharpest, most.max_winding, most.max_uneven
     for k in range(len(values)):
         if values[k] > limits[k]:
             return (CORNER_MOVED + k, number, values[k], limits[k]), 0.0
