@@ -180,7 +180,7 @@ class Configuration(Spec, family="configuration", modules=_MODULES):
 
         Args:
             observed: What the object looks like in this frame.
-            prediction: Where the track expects the shape; None at a cold start.
+            prediction: What is known of the shape before the frame; None at a cold start.
             target: Where point 0 belongs at a cold start, as ``observed.seen`` sees it; None for the top left.
             scene: Depth, camera and border: they show what lies over the object, and put it in space.
         """

@@ -33,7 +33,7 @@ from shape_obs.tracking.predict import NO_NODES, Fit, Prediction, Track, reverse
 from shape_obs.tracking.register_chain import direction
 from shape_obs.tracking.scene import Scene
 from shape_obs.tracking.state import new_rope
-from shape_obs.tracking.step import NO_CLOUD, NO_MASK, Before, InCloud, step_chain, visible_nodes
+from shape_obs.tracking.step import NO_CLOUD, NO_MASK, InCloud, RopeBefore, step_chain, visible_nodes
 from shape_obs.tracking.validation import sample_spread
 from shape_obs.utils.lengths import warn_unless_metres
 
@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     from shape_obs.point_cloud.cloud import Cloud
 
 Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 _NODES: Final = (6, 128)  # at least and at most, for a rope of any length
 _MAX_PIECES: Final = 16  # of a mask: a rope does not fall into more, and joining them costs the cube of their number
@@ -117,7 +115,8 @@ class Centerline(Configuration, kind="centerline"):
         if begins and not math.isinf(_innovation(found)):
             curve: FittedCurve = found.form
             numbered = self.apply_index_order(curve, observed.seen(curve.points, target), target)
-            if numbered is not curve and found.track is not None:
+            if numbered is not curve:
+                assert found.track is not None
                 found = found._replace(form=numbered, track=reversed_rope(found.track, len(curve.points)))
         return found
 
@@ -184,7 +183,7 @@ class Centerline(Configuration, kind="centerline"):
         spread += cloud.hidden_variance
         return start, (curve, ~cloud.carries(curve), spread, cloud.ribbon_width, cloud.resolution)
 
-    def _before(self, prediction: Prediction | None, dimension: int, scene: Scene) -> Before:
+    def _before(self, prediction: Prediction | None, dimension: int, scene: Scene) -> RopeBefore:
         """Return the track before a frame, as ``step_chain`` takes it."""
         if prediction is None:
             nodes = np.empty((0, dimension))

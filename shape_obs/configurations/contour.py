@@ -93,7 +93,7 @@ class Contour(Configuration, kind="contour"):
             if why != FOUND:
                 return Fit(reason=self._rejection_reason(why, observed, len(cloud[0]), 0.0))
         step = step_ring(
-            image, cloud, observed.area, -1 if self.hole is None else self.hole, self.ring,
+            image, cloud, -1 if self.hole is None else self.hole, self.ring,
             NO_VALUES if target is None else target, before, self.model.record,
         )  # fmt: skip
         (state, nodes, velocity, known, points, space, arc, unseen, miss), why, samples, width = step

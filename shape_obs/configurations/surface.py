@@ -27,9 +27,9 @@ from shape_obs.tracking.model import LatticeModel
 from shape_obs.tracking.predict import (
     NO_BOX,
     NO_NODES,
-    Before,
     Fit,
     Prediction,
+    ShapeBefore,
     Track,
     known_before,
     turned_sheet,
@@ -101,13 +101,12 @@ class Surface(Configuration, kind="surface"):
         if prediction is None:
             quarters = self._quarters(form.with_points(observed.seen(form.points, target)), target)
             form, track = form.turned(quarters), turned_sheet(track, quarters)
-        box, area = observed.box[:4] if observed.box else NO_BOX, observed.area if form.whole else 0
-        moved = form.size, found.object_width if observed.dimension == 2 else 0.0, box, area
-        velocity = advance_sheet(track.state, form.points, *moved, before, self.model.record)
+        box, model = observed.box[:4] if observed.box else NO_BOX, self.model.record
+        velocity = advance_sheet(track.state, form.points, form.size, found.object_width, box, before, model)
         found = found._replace(form=form, track=track._replace(nodes=form.points, velocity=velocity))
         return self._judge_isometry(found, observed, prediction is not None, scene)
 
-    def _fit_in_image(self, region: Region, before: Before, scene: Scene) -> Fit:
+    def _fit_in_image(self, region: Region, before: ShapeBefore, scene: Scene) -> Fit:
         """Fit a sheet in a mask, in one compiled call."""
         own, around = scene.around(region)
         fault, quality, lattice, hidden, state, known, down, right, width = step_sheet(
@@ -123,7 +122,7 @@ class Surface(Configuration, kind="surface"):
         """Return a lattice, its inside moved with the map where there are ``epochs`` of it."""
         return form.with_points(form.points + moved_inside(form, observed, self.epochs)) if self.epochs else form
 
-    def _fit_in_cloud(self, observed: Observed, prediction: Prediction | None, before: Before) -> Fit:
+    def _fit_in_cloud(self, observed: Observed, prediction: Prediction | None, before: ShapeBefore) -> Fit:
         """Lay the patch over a sheet that is unrolled: between the corners nearest to those predicted, or the best."""
         reason = self._rejection_reason(observed, observed.width, prediction is not None)
         if reason:
@@ -145,7 +144,7 @@ class Surface(Configuration, kind="surface"):
             off = float(form.interpolated.mean())
             fault, quality = judge_sheet(off, measures, kink, number, moved, self.freedom, self.model.record)
             if fault[0] == NO_FAULT:
-                track = Track(before[0].copy(), form.points, form.points, _GRID, reference=before[3])
+                track = Track(before[0].copy(), form.points, form.points, _GRID)
                 return Fit(form, quality, "", track, observed)
         return Fit(reason=sheet_fault(fault, observed.noun))
 

@@ -41,6 +41,11 @@ class Attempt(NamedTuple):
     prediction: Prediction | None
 
     @property
+    def width_in_image(self) -> float:
+        """The width of the object that the fit assumed; under a cloud, that of its mask; pixels."""
+        return self.found.object_width if self.observed.dimension == 2 else self.observed.parts[-1].width
+
+    @property
     def is_found(self) -> bool:
         """Whether the object is seen, so that its track can follow it."""
         return not self.found.reason or self.found.follow
@@ -70,9 +75,7 @@ def doubt_of(seen: Seen, tries: list[Attempt | None], *, apart: bool = False) ->
         return np.inf
     forms = [each.found for each in shown]
     widths = [found.object_width for found in forms]
-    pixels = [
-        each.found.object_width if each.observed.dimension == 2 else each.observed.parts[-1].width for each in shown
-    ]
+    pixels = [each.width_in_image for each in shown]
     if apart:  # each has pieces of its own: what a curve leaves out of them its own fit has weighed
         beyond = max(seen.region.area - sum(each.observed.area for each in tries if each is not None), 0)
     else:
@@ -107,14 +110,14 @@ def price_of(seen: Seen, tries: list[Attempt | None], doubt: float) -> float:
     for each, ahead in zip(tries, seen.ahead, strict=True):
         if each is not None and ahead is not None and each.is_found and each.found.track is not None:
             step = in_image(each.found.track.nodes, seen.scene) - ahead
-            price += float(np.sqrt(np.mean(np.sum(step * step, axis=1)))) / max(each.found.object_width, 1.0)
+            price += float(np.sqrt(np.mean(np.sum(step * step, axis=1)))) / max(each.width_in_image, 1.0)
     return price
 
 
 def changes_of_sides(seen: Seen, tries: list[Attempt | None]) -> int:
     """Return how many pairs of ropes have changed sides."""
     placed = [
-        (last, in_image(each.found.track.nodes, seen.scene), each.found.object_width)
+        (last, in_image(each.found.track.nodes, seen.scene), each.width_in_image)
         for each, last in zip(tries, seen.last, strict=True)
         if each is not None and last is not None and each.is_found and each.found.track is not None
     ]

@@ -113,7 +113,7 @@ class Slots:
 
         With ``count="all"`` slots that hold nothing are left out.
         """
-        widths = [each.found.object_width for each in tries if each is not None and each.is_found]
+        widths = [each.width_in_image for each in tries if each is not None and each.is_found]
         if widths and self._lying:
             self._passages.add(self._lying, median(widths))
         shapes = []
@@ -199,8 +199,7 @@ class Slots:
             0.0 if each is None else NEXT_TO * width if each.stale else far * min(each.intervals, _MISSED)
             for each in seen.expected
         ]
-        lengths = [track.length_in_image if track else 0.0 for track in seen.tracks]
-        lengths = [length or math.inf for length in lengths]
+        lengths = [(track is not None and track.length_in_image) or math.inf for track in seen.tracks]
         seats = seat_tracked(objects, seen.ahead, reach, lengths)
         free = [k for k, each in enumerate(seen.expected) if each is None or each.stale]
         targets = [tracker.target(seen.scene) for tracker in self.trackers]

@@ -41,7 +41,7 @@ def complete_chain(
         metres: ``(P,)`` its arc length in space; ``(0,)`` if it is not known, or the points are in space.
         log_depth: ``(P,)`` see ``FittedCurve``; ``(0,)`` without.
         before: ``(1,)`` what was known of the rope before this frame.
-        known: ``(1,)`` what is known now, see ``match_to_rope``.
+        known: ``(1,)`` what is known now, see ``register_chain``.
         width: Of the rope, pixels, as it was; 0 in a cloud.
         lasted: Seconds for which this frame counts.
         nodes: ``(K, D)`` where it is predicted.

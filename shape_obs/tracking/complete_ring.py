@@ -130,7 +130,7 @@ def _moved_along(line: Array, points: Array, model: Any) -> Array:
     weight, target = np.empty(len(points)), np.empty((len(points), 2))
     for _ in range(_STEPS):
         place, far, _ = nearest_places(line, points)
-        limit = max(model.outlier * np.median(far), 1e-9)
+        limit = max(model.outlier * np.median(far), model.form_noise)
         for k in range(len(points)):
             i = int(place[k])
             for d in range(2):

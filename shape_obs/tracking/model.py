@@ -168,6 +168,7 @@ class OutlineModel(MotionModel):
     max_reach: float = 5.0  # pixels: that reach at most
     min_depth: float = 0.5  # of the pixels around a point: with less depth, a plane through them is off next to a hole
     edge_reach: float = 7.0  # pixels beyond an outline, where depth is looked for: a camera has none next to an edge
+    form_noise: float = 0.5  # pixels: what is nearer to the known form is off by noise
 
 
 @dataclass(frozen=True)
@@ -227,10 +228,11 @@ class LatticeModel(OutlineModel):
     # Register: sides, and what hides a part of them.
     length_tolerance: _Pair = (0.04, 0.07)  # of a side: its length may be off by so much
     border_noise: float = 2.0  # pixels: a length and a border may be off by so much
+    max_zoom: float = 0.03  # of the size, in a frame: all sides in an image grow and shrink together
     cut_turn: _Pair = (0.38, 0.6)  # radians by which a border turns where something hides it: on a side; at a corner
     dent: _Pair = (0.035, 1.5)  # of a side and pixels: what is farther from a border's form is not its own
     outlier: float = 2.5  # median distances: what is nearer to the known form has bent with the rest of the sheet
-    hidden_place: float = 0.3  # of a gap: nodes in an image farther from the known form are hidden
+    hidden_place: _Pair = (0.3, 1.0)  # of a gap and pixels: nodes in an image farther from the known form are hidden
 
     # Complete.
     border_bend: _Pair = (0.05, 0.12)  # of the way from a corner: a border is followed while it is no farther off

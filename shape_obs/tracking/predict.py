@@ -20,7 +20,7 @@ Array = npt.NDArray[np.float64]
 Box = tuple[int, int, int, int]
 #: The track of an outline or a sheet before a frame, see ``Track``: its state, nodes, velocity and reference; and the
 #: time now, seconds.
-Before = tuple[State, Array, Array, Array, float]
+ShapeBefore = tuple[State, Array, Array, Array, float]
 
 BEFORE_TYPE: Final = "Tuple((ShapeState[::1], f8[:,::1], f8[:,::1], f8[:,::1], f8))"
 NO_NODES: Final = np.zeros((0, 2))  # without a track
@@ -29,7 +29,7 @@ _LEAST_INTERVAL: Final = 1e-6  # seconds; stamps that are closer give no velocit
 
 
 class Track(NamedTuple):
-    """All the state of one shape: arrays, which are copied and pickled as they are.
+    """All the state of one shape: arrays, and how its nodes are connected.
 
     Args:
         state: ``(1,)`` what is known besides its nodes, see ``RopeState`` and ``ShapeState``.
@@ -67,7 +67,7 @@ class Track(NamedTuple):
 
     @property
     def width(self) -> float:
-        """Of the object as a ribbon; 0 if it is not known."""
+        """Of a rope, or of the largest piece of a mask; 0 in a cloud."""
         return float(self.state["width"][0])
 
     @property
@@ -173,7 +173,7 @@ class Prediction(NamedTuple):
     @property
     def nodes(self) -> Array:
         """``(K, D)`` where they should be."""
-        track = self.track
+        track = self.track  # the same as ``predict``, which only compiled code calls
         ahead = self.model.velocity_share * min(max(self.seconds, 0.0), track.interval)
         return extrapolated(track.nodes, track.velocity, track.log_depth, track.depth_rate, ahead)[0]
 
@@ -188,7 +188,7 @@ class Prediction(NamedTuple):
         return max(self.seconds / self.track.interval, 1.0) if self.track.interval > 0 else 1.0
 
 
-def known_before(prediction: Prediction | None, dimension: int, now: float) -> Before:
+def known_before(prediction: Prediction | None, dimension: int, now: float) -> ShapeBefore:
     """Return the track of an outline or a sheet before a frame; without nodes if it has none."""
     if prediction is None:
         nothing = np.empty((0, dimension))
@@ -245,7 +245,7 @@ def counted(seconds: float, model: Any) -> float:
 @compiled
 def advance(
     known: Any, now: Any, nodes: Array, before: Array, log_depth: Array, log_depth_before: Array, stamp: float,
-    size: float, width: float, box: Box, area: int, turning: float, model: Any,
+    size: float, width: float, box: Box, turning: float, model: Any,
 ) -> tuple[Array, Array]:  # fmt: skip
     """Write into a state how a shape has moved to where it was found.
 
@@ -263,7 +263,6 @@ def advance(
         size: Of the form.
         width: Of the object; 0 if it is not known.
         box: Around the mask.
-        area: Of the object; 0 if a part of it is hidden.
         turning: The share of the nodes' common motion along a closed curve that is believed.
         model: The constants.
 
@@ -271,7 +270,7 @@ def advance(
         ``(K, D)`` velocity; ``(K,)`` or ``(0,)`` how fast the log-depth changes; units a second.
     """
     now.stamp, now.interval, now.size, now.width, now.seen_width = stamp, 0.0, size, width, width
-    now.area, now.box_motion = area, 0
+    now.box_motion = 0
     for k in range(4):
         now.box[k] = box[k]
     velocity, depth_rate = np.zeros_like(nodes), log_depth[:0]

@@ -213,7 +213,7 @@ def compare_sheet(
         if not turned:
             return NO_FAULT, 0
     lengths = side_lengths(border)
-    zoom, side, most = 1.0 if metric else zoom_of(lengths, sides), 0, 0.0
+    zoom, side, most = 1.0 if metric else zoom_of(lengths, sides, model.max_zoom), 0, 0.0
     for k in range(4):
         off = (lengths[k] / zoom - sides[k]) / slack[k]
         off = max(off, 0.0) if buckled else off
@@ -231,13 +231,13 @@ def compare_sheet(
 
 
 @compiled
-def zoom_of(lengths: Array, sides: Array) -> float:
-    """Return by how much all sides have become longer; what hides a part shortens two or three of them."""
+def zoom_of(lengths: Array, sides: Array, most: float) -> float:
+    """Return by how much all sides have become longer, or ``most``; what hides a part shortens two or three of them."""
     longest = second = 0.0
     for k in range(4):
         longer = lengths[k] / sides[k]
         longest, second = max(longest, longer), max(second, min(longest, longer))
-    return second
+    return min(max(second, 1 - most), 1 + most)
 
 
 @compiled
@@ -260,7 +260,7 @@ def learn_sheet(known: Array, patch: Array, sides: Array, lasted: float, model: 
         model: The constants, one ``LatticeModel``.
     """
     metric, lengths, learnt = known.shape[1] == 3, side_lengths(border_of(patch)), np.empty(4)
-    zoom = 1.0 if metric else zoom_of(lengths, sides)
+    zoom = 1.0 if metric else zoom_of(lengths, sides, model.max_zoom)
     for k in range(4):
         stretch = model.max_stretch[1 if metric else 0] * lasted * sides[k] * zoom
         learnt[k] = sides[k] * zoom + min(max(lengths[k] - sides[k] * zoom, -stretch), stretch)
@@ -268,7 +268,7 @@ def learn_sheet(known: Array, patch: Array, sides: Array, lasted: float, model: 
         return patch, learnt
     aligned = moved_onto(known, known, patch, np.ones(len(known), np.bool_), True)
     far, most = _apart(patch, aligned), model.max_stretch[1] * lasted * learnt.mean()
-    limit = model.outlier * np.median(far[::_SOME].copy())
+    limit = max(model.outlier * np.median(far[::_SOME].copy()), model.form_noise)
     gain = gain_of(lasted, model.form_memory)
     for p in range(len(patch)):
         share = gain * ((limit / far[p]) ** 4 if far[p] > limit else 1.0)
@@ -312,14 +312,14 @@ def doubtful_places(known: Array, patch: Array, gap: float, model: Any) -> npt.N
         gap: Between two points that are asked for, pixels.
         model: The constants, one ``LatticeModel``.
     """
-    most = model.hidden_place * gap
+    share, pixels = model.hidden_place[0], model.hidden_place[1]
     near, out = np.ones(len(patch), np.bool_), np.zeros(len(patch), np.bool_)
     for last in (False, True):
         far = _apart(patch, moved_onto(known, known, patch, near, True))
-        if not last and far.max() <= most:
+        if not last and far.max() <= max(share * gap, pixels):
             break
         own = model.outlier * np.median(far[::_SOME].copy())
-        limit = max(most, own) if last else own
+        limit = max(share * gap, pixels, own) if last else max(own, pixels)
         for p in range(len(patch)):
             near[p], out[p] = far[p] <= limit, far[p] > limit
     return out

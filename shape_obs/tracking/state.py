@@ -15,11 +15,10 @@ _MOTION: Final = [
     ("stamp", "f8"),  # s, when the shape was seen
     ("interval", "f8"),  # s, over which its velocity was seen; 0 without one
     ("size", "f8"),  # of its form (arc length of a curve), hidden pieces included
-    ("width", "f8"),  # of the object as a ribbon, as it is believed; 0 if it is not known
+    ("width", "f8"),  # of a rope, or of the largest piece of a mask, as it is believed; 0 in a cloud
     ("seen_width", "f8"),  # the same in the last frame alone
     ("box", "i8", 4),  # left, top, width and height of the rectangle around the mask; zeros without a mask
     ("box_motion", "i8"),  # pixels by which its edges have moved since the frame before, at most
-    ("area", "i8"),  # pixels or points of the object; 0 if a part of it was hidden
 ]
 #: An outline or a sheet.
 ShapeState: Final = np.dtype(
@@ -33,6 +32,7 @@ ShapeState: Final = np.dtype(
 RopeState: Final = np.dtype(
     [
         *_MOTION,
+        ("area", "i8"),  # pixels or points of it; 0 if a part of it was hidden
         ("hidden", "f8", 2),  # share of its length that is out of sight
         ("occluded", "u1", 2),  # 1 if something is seen to hide the end
         ("folded", "u1", 2),  # 1 if the end is free, so that what is missing there was laid back onto the curve

@@ -34,25 +34,25 @@ Flags = npt.NDArray[np.bool_]
 #: points ``(P, D)``, flags, arc length, metres, pixels and log-depth, ``(P,)``, the last three ``(0,)`` where they are
 #: not known.
 Stepped = tuple[State, Array, Array, Array, Array, Array, Flags, Array, Array, Array, Array]
-#: A track before a frame, the same of it, and the time now, seconds; whether it was lost for long; how far its nodes
-#: can have moved.
-Before = tuple[State, Array, Array, Array, Array, float, bool, float]
-#: A mask: ``(R, 3)`` its runs; ``(h, w)`` uint8; left, top, width and height in the image of itself, of what is in it,
-#: and of the part of the image that is searched; the frame's depth, see ``frame.depth_images``, both empty without
-#: depth or a camera; the projection, see ``Intrinsics.lens``, ``(0,)`` without one.
+#: A track before a frame: state, nodes, velocity, log-depth and how fast it changes; the time now, seconds; whether the
+#: rope was lost for long; how far its nodes can have moved.
+RopeBefore = tuple[State, Array, Array, Array, Array, float, bool, float]
+#: A mask: ``(R, 3)`` its runs; ``(h, w)`` uint8; three boxes in the image (left, top, width, height): the mask's, that
+#: of what is in it, that of what is searched; the frame's depth, see ``frame.depth_images``, both empty without depth
+#: or a camera; the projection, see ``Intrinsics.lens``, ``(0,)`` without one.
 InMask = tuple[Indices, Mask, Box, Box, Box, DepthImages, Array]
 #: A curve through a cloud, from tip to tip, ``(P, 3)``; where it does not lie on what is seen ``(P,)``; the mean square
 #: distance of the points from it; their width; their resolution.
 InCloud = tuple[Array, Flags, float, float, float]
 
-# The types of ``Before``, ``InMask`` and ``InCloud``.
+# The types of ``RopeBefore``, ``InMask`` and ``InCloud``.
 _BEFORE: Final = "Tuple((RopeState[::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, b1, f8))"
 _IN_MASK: Final = f"Tuple((i8[:,::1], u1[:,::1], {', '.join(3 * ['UniTuple(i8, 4)'])}, {DEPTH_TYPE}, f8[::1]))"
 _IN_CLOUD: Final = "Tuple((f8[:,::1], b1[::1], f8, f8, f8))"
 NO_MASK: Final[InMask] = (
     np.zeros((0, 3), np.int64), np.zeros((0, 0), np.uint8), NO_BOX, NO_BOX, NO_BOX, depth_images(None), NO_VALUES,
 )  # fmt: skip
-NO_CLOUD: Final[InCloud] = np.zeros((0, 2)), np.zeros(0, bool), 0.0, 0.0, 1.0
+NO_CLOUD: Final[InCloud] = np.zeros((0, 2)), np.zeros(0, bool), 0.0, 0.0, 1.0  # the resolution of a mask is a pixel
 
 _FEWEST: Final = 6  # nodes of a visible piece
 _MAX_CELL: Final = 24  # pixels: the edge of a cell of a very wide rope
@@ -61,8 +61,8 @@ _MAX_CELLS: Final = 4096  # about; more change nothing and cost time
 
 @compiled(f"({_IN_MASK}, {_IN_CLOUD}, i8, f8[:,::1], f8, f8, b1, {_BEFORE}, ChainConstants[::1])")
 def step_chain(
-    image: InMask, cloud: InCloud, area: int, start: Array, width: float, off: float, in_metres: bool, before: Before,
-    model: Model,
+    image: InMask, cloud: InCloud, area: int, start: Array, width: float, off: float, in_metres: bool,
+    before: RopeBefore, model: Model,
 ) -> Stepped:  # fmt: skip
     """Follow a rope into a frame, or find it there: predict, measure, register, complete and judge it.
 
@@ -70,7 +70,8 @@ def step_chain(
         image: The mask; ``NO_MASK`` if there is a cloud.
         cloud: The cloud; ``NO_CLOUD`` if there is a mask.
         area: Of what is seen, pixels or points.
-        start: ``(K, D)`` nodes of an initial axis; ``(0, 2)`` starts from where the rope is predicted.
+        start: ``(K, D)`` nodes of an initial axis; ``(0, 2)`` starts from where the rope is predicted. In a cloud they
+            only say how many nodes a track begins with.
         width: Of the rope, pixels; 0 in a cloud.
         off: The share of the curve that may be bridged or hidden.
         in_metres: Whether the rope's points lie at equal steps in space.
@@ -108,7 +109,7 @@ def step_chain(
     now, pixels = state[0], nothing
     if not now.plain:
         points, arc, flags, metres, pixels, log_depth = complete_chain(
-            points, arc, flags, metres, log_depth, known, state, width if cold else was.width, lasted, nodes,
+            points, arc, flags, metres, log_depth, known, state, was.width, lasted, nodes,
             node_log_depth, constants,
         )  # fmt: skip
     stations = metres if len(metres) > 0 else pixels if len(pixels) > 0 else arc
@@ -124,9 +125,9 @@ def step_chain(
         was, now, points, arc, flags, metres, log_depth, spread, breadth, width, seen_area, off, spurious, begins,
         in_metres and not cold, constants,
     )  # fmt: skip
+    now.area = 0 if flags.any() else area
     velocity, depth_rate = advance(
-        was, now, found, last, deep, deep_before, stamp, arc[-1], now.seen_width, box, 0 if flags.any() else area, 1.0,
-        constants,
+        was, now, found, last, deep, deep_before, stamp, arc[-1], now.seen_width, box, 1.0, constants,
     )  # fmt: skip
     return state, found, velocity, deep, depth_rate, points, flags, arc, metres, pixels, log_depth
 

@@ -27,7 +27,7 @@ from shape_obs.tracking.complete_lattice import complete_border, hide_folded, ou
 from shape_obs.tracking.measure_lattice import UNBENT, corners_of, numbered_corners, turns_within
 from shape_obs.tracking.measure_ring import MIN_SAMPLES, trace_border
 from shape_obs.tracking.model import LatticeConstants, Model  # noqa: F401 - the first in signatures
-from shape_obs.tracking.predict import BEFORE_TYPE, Before, Box, advance, counted, predict
+from shape_obs.tracking.predict import BEFORE_TYPE, Box, ShapeBefore, advance, counted, predict
 from shape_obs.tracking.register_lattice import compare_sheet, doubtful_places, learn_sheet, rescaled, visible_corners
 from shape_obs.tracking.state import ShapeState, State  # noqa: F401 - the first in signatures
 from shape_obs.tracking.validation import (
@@ -84,7 +84,7 @@ class SheetStep(NamedTuple):
 )
 def step_sheet(
     mask: Mask, runs: Indices, pieces: int, left: int, top: int, depth: DepthImages, edge: Box, lens: Array,
-    size: tuple[int, int], freedom: float, before: Before, model: Model,
+    size: tuple[int, int], freedom: float, before: ShapeBefore, model: Model,
 ) -> SheetStep:  # fmt: skip
     """Follow a sheet into a mask, or find it there.
 
@@ -98,7 +98,7 @@ def step_sheet(
         edge: Of what is searched.
         lens: The projection, see ``Intrinsics.lens``; ``(0,)`` without one.
         size: Rows and columns of points that are asked for.
-        freedom: How far a corner may move that the others do not, see ``validate_sheet``.
+        freedom: How far a corner may move that the others do not, see ``judge_sheet``.
         before: The track; without nodes in a first frame.
         model: ``(1,)`` the constants.
     """
@@ -219,9 +219,9 @@ def step_sheet(
     return SheetStep(fault, quality, pixels, hidden, state, learnt, down, right, width)
 
 
-@compiled("(ShapeState[::1], f8[:,::1], f8, f8, UniTuple(i8, 4), i8, " + BEFORE_TYPE + ", LatticeConstants[::1])")
+@compiled("(ShapeState[::1], f8[:,::1], f8, f8, UniTuple(i8, 4), " + BEFORE_TYPE + ", LatticeConstants[::1])")
 def advance_sheet(
-    state: State, nodes: Array, size: float, width: float, box: Box, area: int, before: Before, model: Model
+    state: State, nodes: Array, size: float, width: float, box: Box, before: ShapeBefore, model: Model
 ) -> Array:
     """Write into the state of a sheet how it has moved, and return the velocity of its nodes.
 
@@ -231,10 +231,9 @@ def advance_sheet(
         size: Of the lattice.
         width: Of the sheet; 0 if it is not known.
         box: Around its mask; ``NO_BOX`` in a cloud.
-        area: Of the mask or cloud; 0 if a part is hidden.
         before: The track; without nodes in a first frame.
         model: ``(1,)`` the constants.
     """
     known, last, _, _, stamp = before
     nothing = np.zeros(0)
-    return advance(known[0], state[0], nodes, last, nothing, nothing, stamp, size, width, box, area, 1.0, model[0])[0]
+    return advance(known[0], state[0], nodes, last, nothing, nothing, stamp, size, width, box, 1.0, model[0])[0]

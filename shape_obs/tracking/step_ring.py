@@ -1,7 +1,7 @@
-"""Step: one frame of an outline in one compiled call, from what is seen to its curve and nodes.
+"""Step: one frame of an outline in one compiled call, from what is seen to its state.
 
-An outline is measured, registered and completed. Every frame of it goes this way, the first one too, which begins where
-the paper's rule puts its first point.
+An outline is predicted, measured, registered and completed, and its track advances. Every frame of it goes this way,
+the first one too, which begins where the paper's rule puts its first point.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from shape_obs.tracking.complete_lattice import outline_depth
 from shape_obs.tracking.complete_ring import complete_outline, hidden_pieces, sticks_out
 from shape_obs.tracking.measure_ring import MIN_SAMPLES, fit_ring_in_mask, nodes_around, trace_border
 from shape_obs.tracking.model import Model, RingConstants  # noqa: F401 - the last in signatures
-from shape_obs.tracking.predict import BEFORE_TYPE, NO_BOX, Before, Box, advance, counted, predict
+from shape_obs.tracking.predict import BEFORE_TYPE, NO_BOX, Box, ShapeBefore, advance, counted, predict
 from shape_obs.tracking.register_ring import begin_outline, first_place, register_ring
 from shape_obs.tracking.state import ShapeState, State  # noqa: F401 - the first in signatures
 
@@ -53,21 +53,20 @@ _IN_CLOUD: Final = "Tuple((f8[:,::1], i8, f8, f8))"
 NO_MASK: Final[InMask] = (
     np.zeros((0, 0), np.uint8), np.zeros((0, 3), np.int64), 0, 0, 0, depth_images(None), NO_BOX, NO_VALUES, NO_BOX,
 )  # fmt: skip
-NO_CLOUD: Final[InCloud] = np.zeros((0, 2)), 0, 0.0, 1.0
+NO_CLOUD: Final[InCloud] = np.zeros((0, 2)), 0, 0.0, 1.0  # the resolution of a mask is a pixel
 
 FOUND, NO_HOLE, NOT_HOLLOW, TOO_SMALL, TOO_THIN = range(5)  # why there is no outline, if there is none
 
 
-@compiled(f"({_IN_MASK}, {_IN_CLOUD}, i8, i8, b1, f8[::1], {BEFORE_TYPE}, RingConstants[::1])")
+@compiled(f"({_IN_MASK}, {_IN_CLOUD}, i8, b1, f8[::1], {BEFORE_TYPE}, RingConstants[::1])")
 def step_ring(
-    image: InMask, cloud: InCloud, area: int, hole: int, band: bool, target: Array, before: Before, model: Model
+    image: InMask, cloud: InCloud, hole: int, band: bool, target: Array, before: ShapeBefore, model: Model
 ) -> RingStep:
     """Follow an outline into a frame, or find it there: predict, measure, register and complete it.
 
     Args:
         image: The mask; ``NO_MASK`` if there is a cloud.
         cloud: The cloud; ``NO_CLOUD`` if there is a mask.
-        area: Of what is seen, pixels or points.
         hole: Which hole of the largest component, the largest first; -1 for its outer outline.
         band: Whether the object is a closed band, which encloses a hole.
         target: ``(2,)`` pixel where the first point belongs in a first frame; ``(0,)`` for the top left.
@@ -118,7 +117,7 @@ def step_ring(
             curve, space, cut, nodes, reference, resolution, lens, lasted, constants
         )
     velocity, _ = advance(
-        known[0], state[0], found, last, nothing, nothing, stamp, arc[-1], width, box, area, turning / usual, constants
+        known[0], state[0], found, last, nothing, nothing, stamp, arc[-1], width, box, turning / usual, constants
     )
     return (state, found, velocity, now, turned, there, arc, unseen, miss), FOUND, samples, width
 

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.configurations.base import Configuration
 from shape_obs.drawing import Image, draw_curve, draw_over, draw_text, enlarged, mark_size, wrapped
 from shape_obs.frame import Frame
 from shape_obs.geometry.observed import Samples
@@ -108,7 +107,7 @@ def stage_picture(result: Result, stage: str) -> Image:
     found = spec.fit(region, None, None, Scene.in_image(Frame(), Clock(), result.size, result.roi.window(result.size)))
     if found.track is None:
         return _blank(picture, found.reason or "no form was found")
-    _draw_nodes(drawn, found, spec, scale)
+    _draw_nodes(drawn, found, scale)
     return drawn
 
 
@@ -150,7 +149,7 @@ def _draw_samples(picture: Image, samples: Samples, scale: float) -> None:
         _dot(picture, point, max(0.35 * scale * weight**0.5, 1.2), _TINT)
 
 
-def _draw_nodes(picture: Image, found: Fit, spec: Configuration, scale: float) -> None:
+def _draw_nodes(picture: Image, found: Fit, scale: float) -> None:
     """Draw the nodes of a fit and the lines between neighbours, in place."""
     assert found.track is not None
     nodes = enlarged(found.track.nodes, scale)
