@@ -99,7 +99,7 @@ class Surface(Configuration, kind="surface"):
             return found
         form, track = found.form, found.track
         if prediction is None:
-            quarters = self._quarters(form.with_points(observed.seen(form.points, target)), target)
+            quarters = self._quarters(form, observed.seen(form.points, target), target)
             form, track = form.turned(quarters), turned_sheet(track, quarters)
         box, model = observed.box[:4] if observed.box else NO_BOX, self.model.record
         velocity = advance_sheet(track.state, form.points, form.size, found.object_width, box, before, model)
@@ -185,13 +185,14 @@ class Surface(Configuration, kind="surface"):
 
     def apply_index_order(self, form: FittedLattice, seen: Array, target: Array | None) -> FittedLattice:
         """Return the lattice with its first corner nearest the target; else rows run right and columns down."""
-        return form.turned(self._quarters(form.with_points(seen), target))
+        return form.turned(self._quarters(form, seen, target))
 
-    def _quarters(self, seen: FittedLattice, target: Array | None) -> int:
+    def _quarters(self, form: FittedLattice, seen: Array, target: Array | None) -> int:
         """Return how many corners further on, clockwise, the paper's rule puts the first corner of a lattice."""
+        flat = form.with_points(seen)
         if target is not None:
-            return int(np.argmin(np.sum((seen.corners - target) ** 2, axis=1)))
-        lattice = seen.lattice
+            return int(np.argmin(np.sum((flat.corners - target) ** 2, axis=1)))
+        lattice = flat.lattice
         right, down = (lattice[:, -1] - lattice[:, 0]).mean(axis=0), (lattice[-1] - lattice[0]).mean(axis=0)
         right, down = (way / max(float(np.linalg.norm(way)), 1e-9) for way in (right, down))
         level, upright = right[0] + down[1], down[0] - right[1]

@@ -173,9 +173,9 @@ class Prediction(NamedTuple):
     @property
     def nodes(self) -> Array:
         """``(K, D)`` where they should be."""
-        track = self.track  # the same as ``predict``, which only compiled code calls
-        ahead = self.model.velocity_share * min(max(self.seconds, 0.0), track.interval)
-        return extrapolated(track.nodes, track.velocity, track.log_depth, track.depth_rate, ahead)[0]
+        track, share = self.track, self.model.velocity_share
+        moving = track.nodes, track.velocity, track.log_depth, track.depth_rate
+        return predict(*moving, self.seconds, track.interval, share)[0]
 
     @property
     def seconds(self) -> float:
@@ -197,36 +197,27 @@ def known_before(prediction: Prediction | None, dimension: int, now: float) -> S
     return track.state, track.nodes, track.velocity, track.reference, now
 
 
-@compiled
+@compiled("(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, f8, f8)")
 def predict(
-    known: Any, nodes: Array, velocity: Array, log_depth: Array, depth_rate: Array, now: float, model: Any
+    nodes: Array, velocity: Array, log_depth: Array, depth_rate: Array, seconds: float, interval: float, share: float
 ) -> tuple[Array, Array, float]:
     """Predict the nodes: they go on with most of their velocity.
 
     A velocity lasts for as long as it was seen, so that a shape that was lost is searched near its last place.
 
     Args:
-        known: The state of its track.
         nodes: ``(K, D)`` where they were; ``(0, D)`` without a track.
         velocity: ``(K, D)``.
         log_depth: ``(K,)`` or ``(0,)``.
         depth_rate: The same.
-        now: Seconds.
-        model: The constants.
+        seconds: Since then.
+        interval: Over how many seconds the velocity was seen.
+        share: Of the velocity, with which they go on.
 
     Returns:
-        See ``extrapolated``.
+        Nodes and log-depth now, and how far the nodes move, RMS.
     """
-    ahead = model.velocity_share * min(max(now - known.stamp, 0.0), known.interval)
-    return extrapolated(nodes, velocity, log_depth, depth_rate, ahead)
-
-
-@compiled("(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8)")
-def extrapolated(
-    nodes: Array, velocity: Array, log_depth: Array, depth_rate: Array, ahead: float
-) -> tuple[Array, Array, float]:
-    """Return nodes ``(K, D)`` and log-depth, ``(K,)`` or ``(0,)``, after some seconds, and how far nodes move, RMS."""
-    moved, deep, square = np.empty_like(nodes), log_depth.copy(), 0.0
+    moved, deep, square, ahead = np.empty_like(nodes), log_depth.copy(), 0.0, share * min(max(seconds, 0.0), interval)
     for k in range(len(nodes)):
         for d in range(nodes.shape[1]):
             moved[k, d] = nodes[k, d] + ahead * velocity[k, d]

@@ -17,7 +17,7 @@ from shape_obs.compiled import compiled
 from shape_obs.frame import DEPTH_TYPE, DepthImages
 from shape_obs.image.over_under import depth_at
 from shape_obs.tracking.model import MotionModel
-from shape_obs.tracking.predict import Fit, Prediction, Track, extrapolated
+from shape_obs.tracking.predict import Fit, Prediction, Track, predict
 from shape_obs.tracking.scene import Scene
 
 Array = npt.NDArray[np.float64]
@@ -178,4 +178,4 @@ def typical_motion(nodes: Array, before: Array, depth: DepthImages) -> tuple[flo
     return np.median(apart), np.median(away[:known]) if known else 0.0
 
 
-TRACK_FUNCTIONS: Final = extrapolated, typical_motion
+TRACK_FUNCTIONS: Final = predict, typical_motion

@@ -49,7 +49,7 @@ InCloud = tuple[Array, Flags, float, float, float]
 _BEFORE: Final = "Tuple((RopeState[::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, b1, f8))"
 _IN_MASK: Final = f"Tuple((i8[:,::1], u1[:,::1], {', '.join(3 * ['UniTuple(i8, 4)'])}, {DEPTH_TYPE}, f8[::1]))"
 _IN_CLOUD: Final = "Tuple((f8[:,::1], b1[::1], f8, f8, f8))"
-NO_MASK: Final[InMask] = (
+NO_MASK: Final[InMask] = (  # in a cloud
     np.zeros((0, 3), np.int64), np.zeros((0, 0), np.uint8), NO_BOX, NO_BOX, NO_BOX, depth_images(None), NO_VALUES,
 )  # fmt: skip
 NO_CLOUD: Final[InCloud] = np.zeros((0, 2)), np.zeros(0, bool), 0.0, 0.0, 1.0  # the resolution of a mask is a pixel
@@ -83,7 +83,9 @@ def step_chain(
     known, last, velocity, deep_before, depth_rate, stamp, stale, reach = before
     constants, was, cold, nothing = model[0], known[0], len(last) == 0, lens[:0]
 
-    nodes, node_log_depth, motion = predict(was, last, velocity, deep_before, depth_rate, stamp, constants)
+    nodes, node_log_depth, motion = predict(
+        last, velocity, deep_before, depth_rate, stamp - was.stamp, was.interval, constants.velocity_share
+    )
     seconds = np.inf if cold else stamp - was.stamp
     lasted = 0.0 if cold else counted(seconds, constants)
     expected = width, resolution, 1.0 if stale else 0.0, motion, seconds, lasted, reach

@@ -76,11 +76,8 @@ class SheetStep(NamedTuple):
 
 
 @compiled(
-    "(u1[:,::1], i8[:,::1], i8, i8, i8, "
-    + DEPTH_TYPE
-    + ", UniTuple(i8, 4), f8[::1], UniTuple(i8, 2), f8, "
-    + BEFORE_TYPE
-    + ", LatticeConstants[::1])"
+    f"(u1[:,::1], i8[:,::1], i8, i8, i8, {DEPTH_TYPE}, UniTuple(i8, 4), f8[::1], UniTuple(i8, 2), f8, {BEFORE_TYPE}, "
+    "LatticeConstants[::1])"
 )
 def step_sheet(
     mask: Mask, runs: Indices, pieces: int, left: int, top: int, depth: DepthImages, edge: Box, lens: Array,
@@ -104,8 +101,9 @@ def step_sheet(
     """
     constants, nothing, blank = model[0], np.zeros(0), np.empty((0, 2))
     was, last, speed, reference, stamp = before
-    nodes, _, _ = predict(was[0], last, speed, nothing, nothing, stamp, constants)
-    lasted, sides, state = counted(stamp - was[0].stamp, constants), np.empty(4), was.copy()
+    seconds = stamp - was[0].stamp
+    nodes, _, _ = predict(last, speed, nothing, nothing, seconds, was[0].interval, constants.velocity_share)
+    lasted, sides, state = counted(seconds, constants), np.empty(4), was.copy()
     for k in range(4):
         sides[k] = was[0].sides[k]
     traced, width, _ = trace_border(mask, runs, pieces, left, top, -1)

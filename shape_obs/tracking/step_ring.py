@@ -50,7 +50,7 @@ InCloud = tuple[Array, int, float, float]
 # The types of ``InMask`` and ``InCloud``.
 _IN_MASK: Final = f"Tuple((u1[:,::1], i8[:,::1], i8, i8, i8, {DEPTH_TYPE}, UniTuple(i8, 4), f8[::1], UniTuple(i8, 4)))"
 _IN_CLOUD: Final = "Tuple((f8[:,::1], i8, f8, f8))"
-NO_MASK: Final[InMask] = (
+NO_MASK: Final[InMask] = (  # in a cloud
     np.zeros((0, 0), np.uint8), np.zeros((0, 3), np.int64), 0, 0, 0, depth_images(None), NO_BOX, NO_VALUES, NO_BOX,
 )  # fmt: skip
 NO_CLOUD: Final[InCloud] = np.zeros((0, 2)), 0, 0.0, 1.0  # the resolution of a mask is a pixel
@@ -78,7 +78,8 @@ def step_ring(
     known, last, speed, reference, stamp = before
     constants, cold, nothing, space, width, samples = model[0], len(last) == 0, lens[:0], np.empty((0, 3)), 0.0, 0
 
-    nodes, _, _ = predict(known[0], last, speed, nothing, nothing, stamp, constants)
+    seconds, usual = stamp - known[0].stamp, constants.velocity_share
+    nodes, _, _ = predict(last, speed, nothing, nothing, seconds, known[0].interval, usual)
 
     cut = np.zeros(len(curve), np.bool_)
     if len(curve) == 0:
@@ -107,14 +108,13 @@ def step_ring(
             z, cut = outline_depth(depth, edge, mask, left, top, curve, width, constants)
             space = deprojected(curve, z, lens)
 
-    state, usual = known.copy(), constants.velocity_share
+    state = known.copy()
     if cold:
         turned, there, arc, found, places = begin_outline(curve, space, 0.0, count)
         now, turning, unseen = places if len(space) > 0 else reference, usual, False
     else:
-        lasted = counted(stamp - known[0].stamp, constants)
         turned, there, arc, found, now, turning, unseen = _follow_ring(
-            curve, space, cut, nodes, reference, resolution, lens, lasted, constants
+            curve, space, cut, nodes, reference, resolution, lens, counted(seconds, constants), constants
         )
     velocity, _ = advance(
         known[0], state[0], found, last, nothing, nothing, stamp, arc[-1], width, box, turning / usual, constants
