@@ -103,7 +103,7 @@ class Tracker:
             found = self._checked(found, observed, prediction, scene, alone and spec.is_ribbon)
         if found.track is not None and (not found.reason or found.follow):
             begins = found.new or self._gone
-            self._number += begins or self.track is None
+            self._number += self.track is None or (begins and not found.same)
             self._gone, self._candidate = False, None
             self.track = found.track.begun() if begins else found.track
         if not found.reason:

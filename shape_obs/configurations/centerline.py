@@ -28,6 +28,7 @@ from shape_obs.initialization.objects import SceneObject
 from shape_obs.initialization.ropes import find_ropes
 from shape_obs.point_cloud.lifting import leave_out_overlaid
 from shape_obs.tracking.judge_chain import is_unclear, reason_of
+from shape_obs.tracking.memory import SURE, evidence_of_order
 from shape_obs.tracking.model import ChainModel
 from shape_obs.tracking.predict import NO_NODES, Fit, Prediction, Track, reversed_rope
 from shape_obs.tracking.register_chain import direction
@@ -111,13 +112,24 @@ class Centerline(Configuration, kind="centerline"):
                 fits = not math.isinf(_innovation(again))
                 better = fits and (_innovation(again) <= off or _is_whole(again, model.whole_length))
                 found = again if better else found
-        begins = prediction is None or (prediction.stale and _seems_whole(found))
-        if begins and not math.isinf(_innovation(found)):
-            curve: FittedCurve = found.form
+        if (prediction is None or prediction.stale) and not math.isinf(_innovation(found)):
+            found = self._numbered(found, observed, prediction, target)
+        return found
+
+    def _numbered(self, found: Fit, observed: Observed, prediction: Prediction | None, target: Array | None) -> Fit:
+        """Number a rope from the end that is remembered, if it was lost; else by the paper's rule."""
+        curve, track, order = found.form, found.track, 0
+        assert track is not None
+        if prediction is not None and self.order != "image":
+            nats = evidence_of_order(prediction.track, track.nodes, prediction.seconds)
+            order = 0 if abs(nats) < SURE else 1 if nats > 0 else -1
+        if order == 0 and (prediction is None or _seems_whole(found)):
             numbered = self.apply_index_order(curve, observed.seen(curve.points, target), target)
-            if numbered is not curve:
-                assert found.track is not None
-                found = found._replace(form=numbered, track=reversed_rope(found.track, len(curve.points)))
+            order = 1 if numbered is curve else -1
+        elif order:
+            found = found._replace(same=True)
+        if order == -1:
+            found = found._replace(form=curve.reversed(), track=reversed_rope(track, len(curve.points)))
         return found
 
     def _fit_initial(self, observed: Observed, prediction: Prediction | None, scene: Scene) -> Fit:

@@ -135,6 +135,7 @@ class Fit(NamedTuple):
         follow: Whether the track goes on with a form that was refused: it may still show where the object is.
         centres: ``(N, D)`` the shape's points in order if a clusterer found them; None if the form gives them.
         new: Whether the numbering begins again, though there was a track: the object is another one.
+        same: Whether a rope that was lost for long has kept its numbering, see ``memory``.
     """
 
     form: Any = None
@@ -146,6 +147,7 @@ class Fit(NamedTuple):
     follow: bool = False
     centres: Array | None = None
     new: bool = False
+    same: bool = False
 
     @property
     def size(self) -> float:

@@ -18,13 +18,18 @@ import numpy.typing as npt
 from shape_obs.camera import Intrinsics
 from shape_obs.configurations.centerline import Centerline
 from shape_obs.detector import ShapeDetector
+from shape_obs.geometry.topology import Chain
 from shape_obs.image.segmentation import HSVRange
 from shape_obs.shape import Detection
+from shape_obs.tracking.memory import SURE, evidence_of_order
+from shape_obs.tracking.predict import Track
+from shape_obs.tracking.state import RopeState
 from tests.benchmarks.claim import Claim, Effort, Limit
-from tests.benchmarks.scenes.recorded_ropes import Hider, Setting, noise_of, record
-from tests.benchmarks.scenes.rope_motion import LENGTH, NODES, Motion
+from tests.benchmarks.scenes.recorded_ropes import SIZE, Hider, Setting, noise_of, record
+from tests.benchmarks.scenes.rope_motion import LENGTH, MOTIONS, NODES, PIECES, Motion, moving_rope
 from tests.benchmarks.scores import SLIP
 from tests.benchmarks.tables import Column, Row, of, percent, total, worst
+from tests.scenes.hidden_ropes import camera_of
 
 Array = npt.NDArray[np.float64]
 Depths = Literal["exact", "d455"]
@@ -37,6 +42,8 @@ _ALONG: Final[tuple[Hider, ...]] = ("hand", "arm")
 _GONE: Final[tuple[Hider, ...]] = ("board", "border", "at once")
 _SECONDS: Final = (10.0, 3.0)  # of a recording at the full share, and at least
 _AROUND: Final = (5.0, 2.5)  # seconds of a recording besides those for which something is hidden, and at least
+_AWAY: Final = (0.6, 1.0, 2.0, 5.0)  # seconds out of sight after which a rope is asked for its order
+_FRAME: Final = 1 / 30  # seconds
 _SHORTER: Final = 0.25  # share below which recordings become shorter
 
 
@@ -178,6 +185,28 @@ def measured(setting: Setting) -> Iterator[Row]:
         yield Row({**labels_of(setting, depths, recording.peak), **score})
 
 
+def orders(scene: tuple[Motion, float, int]) -> Iterator[Row]:
+    """Ask which way round a rope is that was out of sight, from its true nodes before and after; yield each answer."""
+    motion, speed, seed = scene
+    rng = np.random.default_rng([seed, MOTIONS.index(motion), round(100 * speed)])
+    rope = moving_rope(rng, motion, speed, 1 + max(_AWAY), camera_of(SIZE))
+    for gone, begin in product(_AWAY, rng.uniform(0.2, 1, 2)):
+        axes = rope.axis([begin - _FRAME, begin, begin + gone])  # (3, PIECES + 1, 3)
+        before, last, after = axes[:, :: PIECES // (NODES - 1)]
+        state = np.zeros(1, RopeState)
+        state["size"] = LENGTH
+        lost = Track(state, last, (last - before) / _FRAME, Chain(NODES))
+        yield Row({"hidden [s]": gone, "nats": evidence_of_order(lost, after, gone)})
+
+
+def _wrong(least: float, most: float) -> Column:
+    def column(rows: list[Row]) -> float | None:
+        nats = [row.nats for row in rows if least <= abs(row.nats) < most]
+        return 100 * sum(each < 0 for each in nats) / len(nats) if nats else None
+
+    return column
+
+
 def labels_of(setting: Setting, depths: Depths, peak: float) -> dict[str, Any]:
     """Return the fields by which rows are grouped, and the speed of the fastest node."""
     return {**setting._asdict(), "hidden [s]": setting.hidden, "depth": depths, "peak": peak}
@@ -225,7 +254,7 @@ _LONG: Final = (
     "an arm hides up to ten nodes, whose way is predicted; what is seen between two hidden parts may be left out"
 )
 _SLIDES: Final = "a rope that moves with both ends hidden may slide along itself: it is refused until an end is seen"
-_RENEWED: Final = "after max_age a new track begins, at the end nearest where the first one was in the first frame"
+_RENEWED: Final = "a rope whose form does not show its order is numbered from the end nearest the anchor"
 _TOUCHES: Final = "strands of a loop that meet under a hand may be joined wrongly; a loss may end the track"
 _UNCERTAIN: Final = (
     "ok [%]",
@@ -275,6 +304,17 @@ CLAIMS: Final = (
         "gone", "it moves and bends and is out of sight for some seconds.", ("hidden [s]",),
         _limits(_RENEWED, missed=_UNCERTAIN),
         lambda effort: _settings(effort, 6, ("both",), _GONE, (0.5, 1.0, 5.0)),
+    ),
+    Claim(
+        "record.order", "Which way round a rope is that moved and bent out of sight, as its form shows.",
+        lambda effort: product(("rigid", "bending", "both"), _SPEEDS, effort.seeds(60)), orders, ("hidden [s]",),
+        {"ropes": len, "decided [%]": lambda rows: 100 * float(np.mean([abs(row.nats) >= SURE for row in rows])),
+         "decided wrong [%]": _wrong(SURE, np.inf), "wrong at 3 to 5 nats [%]": _wrong(3, SURE)},
+        limits=(
+            Limit("decided [%]", at_least=90, unit="%", sampled=80),
+            Limit("decided wrong [%]", at_most=0.67, unit="%", sampled=1.5),
+        ),
+        held_out=True,
     ),
     _claim(
         "crossing", "it crosses itself in motion and parts again, while a hand or an arm moves along it.", ("hider",),

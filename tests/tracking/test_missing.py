@@ -128,8 +128,8 @@ def test_raise_says_which_and_why_and_goes_on_afterwards(wave, empty):
     assert detector.detect_mask(wave.mask).ok
 
 
-@pytest.mark.parametrize(("wait", "first"), [(0.2, 270), (2.0, 50)])
-def test_a_short_loss_keeps_the_index_and_a_long_one_starts_again(wave, empty, wait, first):
+@pytest.mark.parametrize(("wait", "first"), [(0.2, 270), (2.0, 270), (600.0, 50)])
+def test_the_index_starts_again_after_a_loss_that_is_too_long_to_remember_it(wave, empty, wait, first):
     """The hand has moved to the left end: only a new start uses it as the anchor."""
     detector = ShapeDetector(Centerline(ends="tips", anchor="hand"), max_age=0.5)
     right, left = {"hand": (319, 110)}, {"hand": (0, 140)}

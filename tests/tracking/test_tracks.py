@@ -100,11 +100,11 @@ class TestTrackIds:
         return [(shape.track_id, shape.new) for shape in shapes]
 
     @pytest.mark.parametrize("policy", ["hold", "truncate", "nan"])
-    def test_a_short_loss_keeps_it_and_a_long_one_does_not(self, wave, policy):
+    def test_it_changes_after_a_loss_that_is_too_long_to_remember_the_order(self, wave, policy):
         detector, empty = ShapeDetector(max_age=0.5, on_missing=policy), np.zeros_like(wave.mask)
         frames = [(empty, 0.0), (wave.mask, 0.1), (wave.mask, 0.2), (empty, 0.3), (wave.mask, 0.6), (empty, 1.2),
-                  (empty, 1.3), (wave.mask, 1.4), (wave.mask, 1.5)]  # fmt: skip
-        found = [(0, False), (1, True), *[(1, False)] * 5, (2, True), (2, False)]
+                  (empty, 1.3), (wave.mask, 1.4), (empty, 2.0), (wave.mask, 600.0), (wave.mask, 600.1)]  # fmt: skip
+        found = [(0, False), (1, True), *[(1, False)] * 7, (2, True), (2, False)]
         assert self.follow(detector, *frames) == found
         detector.reset()
         assert self.follow(detector, *frames) == found
@@ -115,7 +115,7 @@ class TestTrackIds:
         for stamp in (0.3, 0.8):
             with pytest.raises(ShapeLostError):
                 detector.detect_mask(empty, stamp=stamp)
-        assert self.follow(detector, (wave.mask, 0.9)) == [(2, True)]
+        assert self.follow(detector, (wave.mask, 600.0)) == [(2, True)]
 
     def test_a_fit_that_says_so_begins_anew(self, wave):
         """A configuration reports that what it found is another object: its numbering continues nothing."""
