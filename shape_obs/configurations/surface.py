@@ -22,11 +22,10 @@ from shape_obs.geometry.topology import Grid, undo_shrinkage
 from shape_obs.image.connected_runs import gather_cells
 from shape_obs.image.region import Region
 from shape_obs.tracking.isometry import Isometry, isometry_in_image, isometry_in_space
-from shape_obs.tracking.measure_lattice import match_lattices, patch_in_cloud
+from shape_obs.tracking.measure_lattice import patch_in_cloud
 from shape_obs.tracking.model import LatticeModel
 from shape_obs.tracking.predict import (
     NO_BOX,
-    NO_NODES,
     Fit,
     Prediction,
     ShapeBefore,
@@ -35,14 +34,14 @@ from shape_obs.tracking.predict import (
     turned_sheet,
 )
 from shape_obs.tracking.scene import Scene
-from shape_obs.tracking.step_lattice import advance_sheet, step_sheet
+from shape_obs.tracking.step_lattice import advance_sheet, register_in_cloud, step_sheet
 from shape_obs.tracking.validation import NO_CORNERS, NO_FAULT, judge_sheet, sheet_fault
 
 Array = npt.NDArray[np.float64]
 
 _GRID: Final = Grid(FINE, FINE)  # the nodes that are kept from frame to frame, for any lattice that is sampled
 _COMPILED: Final = (
-    step_sheet, advance_sheet, patch_in_cloud, match_lattices, judge_sheet, isometry_in_image,
+    step_sheet, advance_sheet, patch_in_cloud, register_in_cloud, judge_sheet, isometry_in_image,
     isometry_in_space, lattice_gauges, sample_lattice, uneven_places, arc_length, interpolate, material_outline,
 )  # fmt: skip
 
@@ -104,7 +103,10 @@ class Surface(Configuration, kind="surface"):
         box, model = observed.box[:4] if observed.box else NO_BOX, self.model.record
         velocity = advance_sheet(track.state, form.points, form.size, found.object_width, box, before, model)
         found = found._replace(form=form, track=track._replace(nodes=form.points, velocity=velocity))
-        return self._judge_isometry(found, observed, prediction is not None, scene)
+        found = self._judge_isometry(found, observed, prediction is not None, scene)
+        if found.form.ambiguity and prediction is not None:
+            track.state["sides"] = before[0]["sides"]
+        return found
 
     def _fit_in_image(self, region: Region, before: ShapeBefore, scene: Scene) -> Fit:
         """Fit a sheet in a mask, in one compiled call."""
@@ -127,24 +129,26 @@ class Surface(Configuration, kind="surface"):
         reason = self._rejection_reason(observed, observed.width, prediction is not None)
         if reason:
             return Fit(reason=reason)
-        nodes = NO_NODES if prediction is None else prediction.nodes
+        nodes = np.empty((0, 3)) if prediction is None else prediction.nodes
         outline, flat = (np.ascontiguousarray(each, dtype=np.float64) for each in observed.sheet_outline())
         fault = NO_CORNERS, 0, 0.0, 0.0
         for best in (False, True) if len(nodes) else (True,):
             patch, kink, measures = patch_in_cloud(outline, flat, nodes, best)
-            fault, number, moved = (NO_CORNERS, 0, 0.0, 0.0), 0, 0.0
+            fault = NO_CORNERS, 0, 0.0, 0.0
             if not len(patch):
                 continue
             form = FittedLattice.over(observed.to_space(patch), np.zeros(len(patch), bool), FINE)
             form = self._evened(form, observed)
-            if len(nodes):
-                quarters, number, moved = match_lattices(nodes, form.points)
-                form = form.turned(quarters)
+            quarters, state, code, side = register_in_cloud(
+                np.ascontiguousarray(form.points), observed.resolution, nodes, before, self.model.record
+            )
+            form = form.turned(quarters)
             form = replace(form, interpolated=~observed.carries(form.points))
             off = float(form.interpolated.mean())
-            fault, quality = judge_sheet(off, measures, kink, number, moved, self.freedom, self.model.record)
+            fault, quality = judge_sheet(off, measures, kink, 0, 0.0, self.freedom, self.model.record)
+            fault = fault if code == NO_FAULT else (code, side, 0.0, 0.0)
             if fault[0] == NO_FAULT:
-                track = Track(before[0].copy(), form.points, form.points, _GRID)
+                track = Track(state, form.points, form.points, _GRID)
                 return Fit(form, quality, "", track, observed)
         return Fit(reason=sheet_fault(fault, observed.noun))
 

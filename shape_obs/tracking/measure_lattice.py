@@ -89,12 +89,6 @@ def patch_in_cloud(
     return patch, kink, assess_lattice(patch.reshape(FINE, FINE, 2))
 
 
-@compiled("(f8[:,::1], f8[:,::1])")
-def match_lattices(nodes: Array, found: Array) -> tuple[int, int, float]:
-    """Return what ``match_corners`` does of two lattices ``(625, D)``, predicted and found."""
-    return match_corners(corners_of(nodes), corners_of(found))
-
-
 @compiled
 def turns_within(
     outline: Array, space: Array, depth: DepthImages, mask: Mask, left: int, top: int, width: float, lens: Array,

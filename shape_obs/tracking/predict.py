@@ -114,11 +114,9 @@ def reversed_rope(track: Track, points: int) -> Track:
 
 def turned_sheet(track: Track, quarters: int) -> Track:
     """Return the track of the same sheet, which begins ``quarters`` corners further on, clockwise."""
-    if quarters == 0 or len(track.reference) == 0:
-        return track
     side, state, known = math.isqrt(len(track.reference)), track.state.copy(), track.reference
     state["sides"] = np.roll(state["sides"], -quarters, axis=1)
-    turned = np.rot90(known.reshape(side, side, -1), quarters)
+    turned = np.rot90(known.reshape(side, side, known.shape[1]), quarters)
     return track._replace(state=state, reference=np.ascontiguousarray(turned).reshape(known.shape))
 
 

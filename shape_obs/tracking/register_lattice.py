@@ -101,7 +101,7 @@ def visible_corners(
 
 @compiled
 def assign_corners(
-    expected: Array, places: Array, arcs: Array, whole: float, sides: Array, slack: Array, spread: float, model: Any
+    expected: Array, places: Array, arcs: Array, whole: float, sides: Array, tolerance: Array, spread: float, model: Any
 ) -> tuple[Indices, float]:
     """Return which of the places where an outline turns are the corners of a sheet; -1 for one that is hidden.
 
@@ -111,7 +111,7 @@ def assign_corners(
         arcs: ``(Q,)`` their arc lengths along it, in the unit of the sides.
         whole: The outline's length.
         sides: ``(4,)`` the sheet's known lengths, from each corner to the next.
-        slack: ``(4,)`` by which a length may be off.
+        tolerance: ``(4,)`` by which a length may be off.
         spread: Standard deviation of a corner from where the others put it, half diagonals.
         model: The constants, one ``LatticeModel``.
 
@@ -147,7 +147,7 @@ def assign_corners(
             visible += chosen[k] >= 0
         if not possible or visible < 2:
             continue
-        cost = _cost_of_corners(chosen, visible, at, to, arcs, whole, sides, slack, reach, spread, model)
+        cost = _cost_of_corners(chosen, visible, at, to, arcs, whole, sides, tolerance, reach, spread, model)
         if cost < least:
             least = cost
             for k in range(4):
@@ -158,7 +158,7 @@ def assign_corners(
 @compiled
 def _cost_of_corners(
     chosen: Indices, visible: int, at: Complexes, to: Complexes, arcs: Array, whole: float, sides: Array,
-    slack: Array, reach: float, spread: float, model: Any,
+    tolerance: Array, reach: float, spread: float, model: Any,
 ) -> float:  # fmt: skip
     """Return what a choice of corners costs, infinity if they are not in order; see ``assign_corners``."""
     before = after = product = complex(0, 0)
@@ -176,7 +176,7 @@ def _cost_of_corners(
         if gap <= 0:
             return np.inf
         if (last + 1) % 4 == k:
-            off = (gap - sides[last]) / slack[last]
+            off = (gap - sides[last]) / tolerance[last]
             cost += min(off * off, model.cost_of_detour) if off > 0 else off * off
         last = k
     product /= square
@@ -191,7 +191,7 @@ def _cost_of_corners(
 
 @compiled
 def compare_sheet(
-    border: Array, known: Array, sides: Array, slack: Array, metric: bool, buckled: bool, model: Any
+    border: Array, known: Array, sides: Array, tolerance: Array, metric: bool, buckled: bool, model: Any
 ) -> tuple[int, int]:
     """Return what of a sheet's border does not fit to what is known of it: a code, and the side.
 
@@ -199,7 +199,7 @@ def compare_sheet(
         border: ``(96, D)`` as it lies, in the unit of the next three.
         known: ``(96, D)`` as it was, wherever it lay.
         sides: ``(4,)`` known lengths.
-        slack: ``(4,)`` by how much they may be off.
+        tolerance: ``(4,)`` by how much they may be off.
         metric: Whether the unit is a metre, not a pixel.
         buckled: Whether sides may be shorter, since nothing lies over them that could hide a part.
         model: The constants, one ``LatticeModel``.
@@ -213,21 +213,36 @@ def compare_sheet(
         if not turned:
             return NO_FAULT, 0
     lengths = side_lengths(border)
-    zoom, side, most = 1.0 if metric else zoom_of(lengths, sides, model.max_zoom), 0, 0.0
+    zoom = 1.0 if metric else zoom_of(lengths, sides, model.max_zoom)
     for k in range(4):
-        off = (lengths[k] / zoom - sides[k]) / slack[k]
-        off = max(off, 0.0) if buckled else off
-        if abs(off) > abs(most):
-            side, most = k, off
-    if abs(most) > 1:
-        return (SHORTER if most < 0 else LONGER), side
-    if not metric:
+        lengths[k] = max(lengths[k] / zoom, sides[k]) if buckled else lengths[k] / zoom
+    code, side = compare_sides(lengths, sides, tolerance)
+    if code == NO_FAULT and not metric:
         aligned, far = moved_onto(known, known, border, np.ones(len(known), np.bool_), True), 0.0
         for p in range(4 * SIDE):
             far = max(far, (border[p, 0] - aligned[p, 0]) ** 2 + (border[p, 1] - aligned[p, 1]) ** 2)
         if math.sqrt(far) > model.dent[1] + model.dent[0] * sides.mean():
             return ELSEWHERE, 0
-    return NO_FAULT, 0
+    return code, side
+
+
+@compiled
+def compare_sides(lengths: Array, sides: Array, tolerance: Array) -> tuple[int, int]:
+    """Return the code and the number of the side whose length is off by most, if that is more than its tolerance.
+
+    Args:
+        lengths: ``(4,)``.
+        sides: ``(4,)`` known.
+        tolerance: ``(4,)`` by how much they may be off.
+    """
+    side, most = 0, 0.0
+    for k in range(4):
+        off = (lengths[k] - sides[k]) / tolerance[k]
+        if abs(off) > abs(most):
+            side, most = k, off
+    if abs(most) <= 1:
+        return NO_FAULT, 0
+    return (SHORTER if most < 0 else LONGER), side
 
 
 @compiled
@@ -259,11 +274,9 @@ def learn_sheet(known: Array, patch: Array, sides: Array, lasted: float, model: 
         lasted: Seconds for which this frame counts.
         model: The constants, one ``LatticeModel``.
     """
-    metric, lengths, learnt = known.shape[1] == 3, side_lengths(border_of(patch)), np.empty(4)
+    metric, lengths = known.shape[1] == 3, side_lengths(border_of(patch))
     zoom = 1.0 if metric else zoom_of(lengths, sides, model.max_zoom)
-    for k in range(4):
-        stretch = model.max_stretch[1 if metric else 0] * lasted * sides[k] * zoom
-        learnt[k] = sides[k] * zoom + min(max(lengths[k] - sides[k] * zoom, -stretch), stretch)
+    learnt = learn_sides(lengths, sides * zoom, model.max_stretch[1 if metric else 0] * lasted)
     if metric:
         return patch, learnt
     aligned = moved_onto(known, known, patch, np.ones(len(known), np.bool_), True)
@@ -275,6 +288,15 @@ def learn_sheet(known: Array, patch: Array, sides: Array, lasted: float, model: 
         for d in range(2):
             aligned[p, d] += min(max(share * (patch[p, d] - aligned[p, d]), -most), most)
     return aligned, learnt
+
+
+@compiled
+def learn_sides(lengths: Array, sides: Array, most: float) -> Array:
+    """Return the lengths ``(4,)`` of sides after they were seen, which change by a share ``most`` of them at most."""
+    learnt = np.empty(4)
+    for k in range(4):
+        learnt[k] = sides[k] + min(max(lengths[k] - sides[k], -most * sides[k]), most * sides[k])
+    return learnt
 
 
 @compiled

@@ -28,7 +28,16 @@ from shape_obs.tracking.measure_lattice import UNBENT, corners_of, numbered_corn
 from shape_obs.tracking.measure_ring import MIN_SAMPLES, trace_border
 from shape_obs.tracking.model import LatticeConstants, Model  # noqa: F401 - the first in signatures
 from shape_obs.tracking.predict import BEFORE_TYPE, Box, ShapeBefore, advance, counted, predict
-from shape_obs.tracking.register_lattice import compare_sheet, doubtful_places, learn_sheet, rescaled, visible_corners
+from shape_obs.tracking.register_lattice import (
+    compare_sheet,
+    compare_sides,
+    doubtful_places,
+    learn_sheet,
+    learn_sides,
+    match_corners,
+    rescaled,
+    visible_corners,
+)
 from shape_obs.tracking.state import ShapeState, State  # noqa: F401 - the first in signatures
 from shape_obs.tracking.validation import (
     NO_CORNERS,
@@ -215,6 +224,40 @@ def step_sheet(
     if fault[0] == NO_FAULT:
         down, right = lattice_gauges(pixels.reshape(FINE, FINE, 2))
     return SheetStep(fault, quality, pixels, hidden, state, learnt, down, right, width)
+
+
+@compiled("(f8[:,::1], f8, f8[:,::1], " + BEFORE_TYPE + ", LatticeConstants[::1])")
+def register_in_cloud(
+    lattice: Array, resolution: float, nodes: Array, before: ShapeBefore, model: Model
+) -> tuple[int, State, int, int]:
+    """Compare a sheet that was found in a cloud with its track.
+
+    Args:
+        lattice: ``(625, 3)`` metres.
+        resolution: Of the cloud, metres.
+        nodes: ``(625, 3)`` where the sheet is predicted.
+        before: The track; without nodes in a first frame.
+        model: ``(1,)`` the constants.
+
+    Returns:
+        By how many quarters the lattice is to be turned so that it is numbered as the track is; the state ``(1,)`` of
+        the track with the lengths of the sides; a code and a side, see ``compare_sheet``.
+    """
+    (was, last, _, _, stamp), constants, quarters = before, model[0], 0
+    state, code, side, lengths = was.copy(), NO_FAULT, 0, side_lengths(border_of(lattice))
+    if len(last) > 0:
+        quarters, _, _ = match_corners(corners_of(nodes), corners_of(lattice))
+        found, sides, tolerance, most = np.empty(4), was[0].sides.copy(), np.empty(4), constants.max_stretch[1]
+        for k in range(4):
+            found[k] = lengths[(k + quarters) % 4]
+            tolerance[k] = max(constants.length_tolerance[1] * sides[k], constants.border_noise * resolution)
+            # What hides a part of it makes no side longer: it was not all in sight before.
+            sides[k] = found[k] if found[k] > sides[k] + tolerance[k] else sides[k]
+        code, side = compare_sides(found, sides, tolerance)
+        lengths = learn_sides(found, sides, most * counted(stamp - was[0].stamp, constants))
+    for k in range(4):
+        state[0].sides[k] = lengths[k]
+    return quarters, state, code, side
 
 
 @compiled("(ShapeState[::1], f8[:,::1], f8, f8, UniTuple(i8, 4), " + BEFORE_TYPE + ", LatticeConstants[::1])")

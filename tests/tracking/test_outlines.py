@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
-from shape_obs import Contour, Intrinsics, ShapeDetector, Surface
+from shape_obs import Contour, Intrinsics, Shape, ShapeDetector, Surface
 from shape_obs.bench.scenes import draw_blob, moving_blob, moving_sheet
 from tests.benchmarks.outlines import MOTIONS, seen_outline
 from tests.benchmarks.scores import tally_visible
 from tests.benchmarks.sheets import seen_points
 from tests.scenes.blobs import random_blob
-from tests.scenes.flat_objects import View, cloth, in_space, ring, under_hand
+from tests.scenes.flat_objects import FlatScene, View, cloth, in_space, ring, under_hand
 from tests.scenes.images import CAMERA, tilted_sheet
 from tests.scenes.sheets import true_lattice
 
@@ -41,7 +42,7 @@ def test_a_covered_corner_is_put_back_and_is_not_visible(radius, corner):
         assert shape.visible[at] != covered
 
 
-VIEW = View()
+VIEW, SMALL = View(), View(height=240)
 
 
 @pytest.mark.parametrize(
@@ -63,6 +64,34 @@ def test_a_cloth_in_space_keeps_its_index(motion):
     assert found.slips == 0, found
     assert found.refused < 2
     assert found.mm < 5
+
+
+def in_clouds(scenes: Iterable[FlatScene]) -> list[tuple[FlatScene, Shape]]:
+    """Track a cloth in the cloud under each mask."""
+    detector = ShapeDetector([Surface(rows=4, cols=8, lift="cloud")])
+    return [(scene, detector.detect_mask(scene.mask, scene.depth, SMALL.intrinsics).shapes[0]) for scene in scenes]
+
+
+@pytest.mark.parametrize("motion", ["tilted", "corner up"])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_cloth_in_a_cloud_is_never_refused_in_full_view(motion, seed):
+    """A corner that bends up moves as the others do not; the sides keep their lengths."""
+    for scene, shape in in_clouds(in_space(np.random.default_rng(seed), cloth(1.5), SMALL, motion, 10.0, 30)):
+        assert not shape.reason
+        assert shape.points3d is not None
+        if motion == "tilted":
+            places = [true_lattice(np.rot90(scene.space, k), 4, 8, "centers").reshape(-1, 3) for k in range(4)]
+            assert min(np.linalg.norm(shape.points3d - each, axis=1).max() for each in places) < 0.015
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_cloth_in_a_cloud_is_refused_only_while_a_corner_is_hidden(seed):
+    found = in_clouds(under_hand(np.random.default_rng(seed), cloth(1.5), SMALL, "corner", 6.0, 4.0))
+    hidden = np.array([scene.hidden[[0, 0, -1, -1], [0, -1, -1, 0]].any() for scene, _ in found])
+    refused = np.array([bool(shape.reason) for _, shape in found])
+    assert not refused[~hidden].any()
+    assert refused[hidden].mean() > 0.7
+    assert any("side" in shape.reason for _, shape in found)
 
 
 def test_what_a_fold_hides_is_not_valid():
