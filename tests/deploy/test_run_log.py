@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 import threading
+import time
 from typing import Any
 
 import numpy as np
@@ -206,16 +207,24 @@ def test_a_frame_on_which_nothing_was_sent_has_no_action_and_runs_are_episodes(t
 
 
 def test_a_disk_that_stalls_drops_frames_and_delays_no_step(tmp_path, monkeypatch):
-    whole, gate = writer.store, threading.Event()
+    whole, gate, written = writer.store, threading.Event(), threading.Event()
 
     def stalling(*given):
         assert gate.wait(30)
-        return whole(*given)
+        try:
+            return whole(*given)
+        finally:
+            written.set()
+
+    def recover():
+        gate.set()
+        assert written.wait(30)
+        time.sleep(0.1)  # until the thread takes another frame
 
     monkeypatch.setattr(writer, "store", stalling)
     env, *_ = cell()
     with RunRecorder(tmp_path / "run", workers=1, pending=1) as recorder:
-        at = Always({20: gate.set})  # a loop that waited for the disk would not get there
+        at = Always({20: recover})  # a loop that waited for the disk would not get there
         report = deploy(env, at, PATIENT, steps=30, record=recorder)
     recorded, recording = recorder.close(), Recording(tmp_path / "run")
     assert report.acted == 30
