@@ -25,7 +25,8 @@ from shape_obs.image.roi import Window
 from shape_obs.image.segmentation import Expected, FollowingRule, Segmentation, need
 from shape_obs.image.sharing import FOUND, MOST, TRACED, part_of, share
 from shape_obs.initialization.objects import SceneObject
-from shape_obs.initialization.ropes import NARROW, Gap, find_ropes
+from shape_obs.initialization.pairing import NARROW
+from shape_obs.initialization.ropes import find_ropes
 from shape_obs.spec import SpecError
 
 Image = npt.NDArray[np.uint8]
@@ -46,7 +47,7 @@ _STEP: Final = 0.006, 0.015  # metres, and share of the distance: a change of de
 _FARTHEST: Final = 1e6  # metres, beyond all that is seen
 _DEEP: Final = 0.03  # metres by which parts of one object lie before or behind others, beyond a step
 _PLAUSIBLE: Final = Segmentation.min_area, Segmentation.min_share
-_GAP: Final = Gap(15.0, 1.0)  # as wide as what may hide a rope, such as a hand
+_GAP: Final = 6.0  # widths of a gap that cost a nat: what may hide a rope, such as a hand, is up to 15 wide
 _LIKE: Final = 14.0  # distance to the colour of a click, see ``distances_of_colours``: it still looks the same there
 _PIXELS_NEAR: Final = 100_000  # of the surroundings of a track, as the network sees them: it looks at these once
 _FEWEST: Final = 4  # places of a track on the rope that it follows; where another one crosses there are fewer
@@ -206,7 +207,7 @@ def _at_one_depth(seen: Mask, metres: npt.NDArray[np.float32], picks: Sequence[P
 
 
 def _ropes_at(
-    seen: Mask, rgb: Image, picks: Sequence[Pixel], nots: Sequence[Pixel], gap: Gap = _GAP, least: int = 1
+    seen: Mask, rgb: Image, picks: Sequence[Pixel], nots: Sequence[Pixel], gap: float = _GAP, least: int = 1
 ) -> Mask:
     """Return the ropes of a mask that have ``least`` of the picks and no not, over all crossings; else all of the mask.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -14,13 +15,11 @@ from shape_obs.initialization.skeleton import Branch
 
 Array = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.uint8]
-Arm = tuple[int, int]  # a branch, and which of its ends
 
 _ALONG: Final = 6.0  # widths from where a strand is clear of the others, over which it is measured
-_WIDER: Final = 0.36  # share of their mean width by which two strands are unlike
-_PIXELS: Final = 2.5  # pixels by which they differ as well: the error of two widths
-_VARIED: Final = 2.5  # times what either varies along its way, by which they differ as well, in width or in colour
-_UNLIKE: Final = 36.0  # grey levels by which two strands are unlike in colour
+_UNEVEN: Final = 0.07  # share of a rope's width by which two of its pieces differ (standard deviation)
+_PIXELS: Final = 0.9  # pixels by which they differ as well: the error of two widths in a mask
+_GREY: Final = 9.0  # grey levels by which the colours of two pieces of a rope differ
 # Brightness, red against green, yellow against blue: brightness counts less, it changes with the direction of light.
 _OPPONENT: Final = np.array([[0.12, 0.12, 0.12], [0.7, -0.7, 0.0], [0.4, 0.4, -0.8]]).T  # grey levels from RGB
 
@@ -41,30 +40,32 @@ class Look(NamedTuple):
     mixed: float = 0.0
 
 
-def are_unlike(one: Look, other: Look) -> bool:
-    """Return whether two strands cannot be one rope."""
+def misfit(one: Look, other: Look) -> float:
+    """Return how unlike two strands are, nats: half the squared standard deviations of what is known of both."""
+    found = 0.0
     if one.width and other.width:
-        mean, apart = (one.width + other.width) / 2, abs(one.width - other.width)
-        if apart > max(_WIDER * mean, _PIXELS, _VARIED * (one.uneven + other.uneven)):
-            return True
-    if one.colour is None or other.colour is None:
-        return False
-    apart = float(np.linalg.norm(one.colour - other.colour))
-    return apart > max(_UNLIKE, _VARIED * (one.mixed + other.mixed))
+        error = math.hypot(_UNEVEN * (one.width + other.width) / 2, _PIXELS, one.uneven, other.uneven)
+        found += 0.5 * ((one.width - other.width) / error) ** 2
+    if one.colour is not None and other.colour is not None:
+        apart, error = np.linalg.norm(one.colour - other.colour), math.hypot(_GREY, one.mixed, other.mixed)
+        found += 0.5 * float(apart / error) ** 2
+    return found
 
 
-def looks_of_arms(branches: list[Branch], arms: list[Arm], free: set[Arm], picture: Picture | None) -> dict[Arm, Look]:
-    """Return what each arm of the places where strands meet looks like.
+def looks_of_ends(branches: list[Branch], ends: list[int], free: set[int], picture: Picture | None) -> dict[int, Look]:
+    """Return what each end of the places where strands meet looks like.
 
     Args:
         branches: With the skeleton's radii.
-        arms: Which ends of which branches.
+        ends: Of branches: 2 i and 2 i + 1 are those of branch i.
         free: Those where a rope ends.
         picture: ``(H, W, 3)`` RGB; None without one.
     """
-    known = {i: (arc_length(np.ascontiguousarray(branches[i].points)), _middle(branches[i].radius)) for i, _ in arms}
+    arcs = {i: arc_length(np.ascontiguousarray(branches[i].points)) for i in {end // 2 for end in ends}}
+    typical = {i: _middle(branches[i].radius) for i in arcs}
     return {
-        arm: _look_of_arm(branches[arm[0]], arm, *known[arm[0]], (arm[0], 1 - arm[1]) in free, picture) for arm in arms
+        end: _look(branches[end // 2], end % 2, arcs[end // 2], typical[end // 2], end ^ 1 in free, picture)
+        for end in ends
     }
 
 
@@ -76,17 +77,15 @@ def look_of_end(curve: Array, width: float, picture: Picture | None) -> Look:
     return Look(width, 0.0, colour, mixed)
 
 
-def _look_of_arm(
-    branch: Branch, arm: Arm, arc: Array, typical: float, ends_freely: bool, picture: Picture | None
-) -> Look:
+def _look(branch: Branch, side: int, arc: Array, typical: float, ends_freely: bool, picture: Picture | None) -> Look:
     radius, length = branch.radius, float(arc[-1])
     # Where the disc at the node ends, and the corners that it fills.
-    start = float(radius[-arm[1]]) + 0.5 * typical
-    stop = length - (typical if ends_freely else float(radius[arm[1] - 1]) + 0.5 * typical)
+    start = float(radius[-side]) + 0.5 * typical
+    stop = length - (typical if ends_freely else float(radius[side - 1]) + 0.5 * typical)
     stop = min(stop, start + _ALONG * 2 * typical)
     if stop - start < max(typical, 3.0):
         return Look()
-    low, high = (length - stop, length - start) if arm[1] else (start, stop)
+    low, high = (length - stop, length - start) if side else (start, stop)
     first, last, middle, deviation = middle_width(radius, arc, low, high)
     colour, mixed = _colour(branch.points[first:last], picture)
     return Look(middle, MAD_SIGMA * deviation, colour, mixed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import Any, Final
 
 import cv2
@@ -15,9 +16,27 @@ from shape_obs.image.region import Component, Region
 from shape_obs.initialization.appearance import Picture
 from shape_obs.initialization.crossings import untangle
 from shape_obs.initialization.folding import AXIS_POINTS, closest_sides, fold_outline, unexplained_share
-from shape_obs.initialization.gaps import DEARER, bridge, cheapest_order, first_chord, hermite
+from shape_obs.initialization.pairing import (
+    MOST,
+    NARROW,
+    SURE,
+    bending,
+    cheapest_order,
+    cheapest_pairing,
+    first_chord,
+    lead,
+    price_of,
+)
 from shape_obs.initialization.skeleton import MOST_OF_NOISE, middle_value, skeleton_graph, trace_skeleton
-from shape_obs.initialization.strand_curves import Strand, joint, middle_part, smooth_curve
+from shape_obs.initialization.strand_curves import (
+    Strand,
+    hermite,
+    join,
+    joint,
+    middle_part,
+    smooth_curve,
+    without_ragged_ends,
+)
 from shape_obs.initialization.thinning import thin_pixels
 
 Array = npt.NDArray[np.float64]
@@ -26,12 +45,13 @@ _SPACING: Final = 0.4  # widths from point to point of a traced curve: less than
 _RAGGED: Final = 0.03  # share of a ribbon's outline that may lie over a width from its axis; square ends have 0.7
 _UNEXPLAINED: Final = 0.1  # share of all strands that is left out as noise, of those that end on another one
 _BUMP: Final = 0.65  # widths that a bump sticks out of one of several ropes, where a longer one is an end of another
+_WIDE: Final = 5.0  # widths of a gap that is too wide to be noise: a rope may turn back in a narrower one
 _TURNS_BACK: Final = 1.8  # rad^2, see ``bending``: an arc of 155 degrees, which rather shows two ropes
 
 #: The compiled functions that finding an axis in a mask may call.
 AXIS_FUNCTIONS: Final = (
     closest_sides, unexplained_share, fill_holes, thin_pixels, trace_skeleton, middle_value, smooth_curve, middle_part,
-    joint, first_chord, hermite, cheapest_order,
+    joint, first_chord, hermite, cheapest_order, cheapest_pairing,
 )  # fmt: skip
 
 
@@ -89,14 +109,45 @@ def _axis_of_mask(region: Region) -> FittedCurve:
     doubts = _doubts(strands, kept, alone=region.pieces == 1)
     if len(kept) == 1:
         return _axis(kept[0].curve, doubt="; ".join(dict.fromkeys(doubts)))
+    if len(kept) > MOST:
+        doubts.append(f"the mask shows {len(kept)} pieces of rope, too many to try all orders")
+        kept = sorted(kept, key=lambda strand: -strand.length)[:MOST]
     width = max(strand.width for strand in kept)
-    joined = bridge([strand.curve for strand in kept], width)
-    if joined.next_best < DEARER:
+    joined, sure, bent = _in_order([strand.curve for strand in kept], width)
+    if not sure:
         doubts.append("the pieces could be joined in another order about as well")
-    if region.pieces > 1 and joined.bent > _TURNS_BACK:
+    if region.pieces > 1 and bent > _TURNS_BACK:
         doubts.append("it would have to turn back where it is hidden: these may be two ropes, which count=2 finds")
-    curve, bridged = even(joined.curve, joined.bridged, width)
+    curve, bridged = even(*join(joined, width), width)
     return _axis(curve, bridged & ~region.contains(curve), "; ".join(dict.fromkeys(doubts)))
+
+
+def _in_order(pieces: list[Array], width: float) -> tuple[list[Array], bool, float]:
+    """Return the pieces of a rope as they follow each other, by the short and straight gaps overall.
+
+    Args:
+        pieces: ``(P_i, 2)`` curves, pixels, in no particular direction.
+        width: Of the rope, pixels.
+
+    Returns:
+        The pieces, each in its direction; whether every other order that differs in a gap is clearly dearer; what a
+        bridge over a wide gap bends at most, see ``bending``.
+    """
+    ends = [without_ragged_ends(piece, width)[:: 1 - 2 * e] for piece in pieces for e in (0, 1)]
+    leads, tips = [lead(end, width) for end in ends], np.array([end[0] for end in ends])
+    gap = np.linalg.norm(tips[:, None] - tips, axis=2) / width  # (2n, 2n)
+    price = gap / NARROW
+    for p, q in combinations(range(len(ends)), 2):
+        price[p, q] += price_of(leads[p], leads[q], width) if p // 2 != q // 2 else np.inf
+        price[q, p] = price[p, q]
+    total, order = cheapest_order(price)
+    sure, bent = True, 0.0
+    for out, into in zip(order[1:-1:2], order[2::2], strict=True):
+        bent = max(bent, bending(leads[out], leads[into]) if gap[out, into] > _WIDE else 0.0)
+        without = price.copy()
+        without[out, into] = without[into, out] = np.inf
+        sure &= cheapest_order(without)[0] - total >= SURE
+    return [pieces[entry // 2][:: 1 - 2 * (entry % 2)] for entry in order[::2]], sure, bent
 
 
 def _axis(curve: Array, bridged: npt.NDArray[np.bool_] | None = None, doubt: str = "") -> FittedCurve:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.polyline import arc_length
-from shape_obs.initialization.gaps import hermite
-from shape_obs.initialization.junctions import Arm
+from shape_obs.geometry.polyline import arc_length, interpolate
+from shape_obs.initialization.pairing import CHORD, Index, lead
 from shape_obs.initialization.skeleton import Branch
 
 Array = npt.NDArray[np.float64]
@@ -18,6 +18,8 @@ Array = npt.NDArray[np.float64]
 _SMOOTHING: Final = 0.35  # widths, sigma of a blur along a branch: less leaves stairs of pixels, more cuts the bends
 _CUT: Final = 0.4  # widths that a free end is cut by, where the skeleton may turn into a corner of the rope's end
 _FOLLOWED: Final = 2.0  # widths of a shared branch along which strands are followed; a shorter one is passed smoothly
+_RAGGED: Final = 0.7  # widths of a piece cut off at a gap: at a slanting cut an axis runs into the sharper corner
+_SHARP: Final = math.radians(75)  # between two chords; in a circle two widths in diameter they turn by 43 degrees
 
 
 class Strand(NamedTuple):
@@ -88,20 +90,23 @@ def middle_part(curve: Array, start: float, end: float) -> Array:
 
 
 def strand_curve(
-    route: list[Arm],
-    trimmed: dict[int, Array],
-    partner: dict[Arm, Arm],
-    ways: dict[tuple[Arm, Arm], Array],
-    width: float,
+    route: list[int], trimmed: dict[int, Array], partner: Index, ways: dict[tuple[int, int], Array], width: float
 ) -> Array:
-    """Return a strand's branches, and smooth curves through the zones between them."""
-    pieces = [np.ascontiguousarray(trimmed[i][:: 1 - 2 * end]) for i, end in route]
-    if route[0] in partner:  # a ring is cut open where the first branch begins
+    """Return a strand's branches, and smooth curves through the zones between them.
+
+    Args:
+        route: By which end each branch is entered.
+        trimmed: The part of each branch that is clear of the zones.
+        partner: ``(2B,)`` which end goes on as which.
+        ways: The ways of strands along shared branches, between two ends.
+        width: Of the typical strand, pixels.
+    """
+    pieces = [np.ascontiguousarray(trimmed[end // 2][:: 1 - 2 * (end % 2)]) for end in route]
+    if partner[route[0]] != route[0]:  # a ring is cut open where the first branch begins
         pieces.append(pieces[0][:1])
     run = [pieces[0]]
-    for (i, end), before, after in zip(route, pieces[:-1], pieces[1:], strict=False):
-        leaves = (i, 1 - end)
-        way = ways.get((leaves, partner[leaves]))
+    for end, before, after in zip(route, pieces[:-1], pieces[1:], strict=False):
+        way = ways.get((end ^ 1, int(partner[end ^ 1])))
         if way is not None and len(way) > _FOLLOWED * width:
             run += [joint(before, way, width), way, joint(way, after, width), after]
         else:
@@ -118,3 +123,72 @@ def joint(before: Array, after: Array, width: float) -> Array:
     out /= max(np.hypot(out[0], out[1]), 1e-9)
     into /= max(np.hypot(into[0], into[1]), 1e-9)
     return hermite(before[-1], out, after[0], into, 1.0)
+
+
+@compiled("(f8[::1], f8[::1], f8[::1], f8[::1], f8)")
+def hermite(start: Array, out: Array, end: Array, into: Array, step: float) -> Array:
+    """Return a smooth curve between two points with given unit tangents along the way: ``(P, 2)``, without ends."""
+    length = np.hypot(end[0] - start[0], end[1] - start[1])
+    pieces = max(int(np.rint(length / step)), 1)
+    curve = np.empty((pieces - 1, 2))
+    for p in range(pieces - 1):
+        t = (p + 1) / pieces
+        for d in range(2):
+            curve[p, d] = (1 + 2 * t) * (1 - t) ** 2 * start[d] + t**2 * (3 - 2 * t) * end[d]
+            curve[p, d] += t * (1 - t) * length * ((1 - t) * out[d] - t * into[d])
+    return curve
+
+
+def join(pieces: list[Array], width: float) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Return pieces that follow each other as one curve with smooth bridges, and which of its points lie on those.
+
+    Args:
+        pieces: ``(P_i, 2)`` curves, pixels, in their order and direction.
+        width: Of the rope, pixels.
+    """
+    run: list[Array] = []
+    for place, piece in enumerate(pieces):
+        piece = without_ragged_ends(piece, width, start=place > 0, end=place < len(pieces) - 1)
+        if run:
+            before, after = lead(run[-1][::-1], width), lead(piece, width)
+            run.append(hermite(run[-1][-1], -before.heading, piece[0], after.heading, width / 4))
+        run.append(piece)
+    is_gap = [np.full(len(part), i % 2 == 1) for i, part in enumerate(run)]
+    return np.concatenate(run), np.concatenate(is_gap)
+
+
+def without_ragged_ends(piece: Array, width: float, *, start: bool = True, end: bool = True) -> Array:
+    """Return a piece without its ragged ends."""
+    piece = np.ascontiguousarray(piece)
+    arc = arc_length(piece)
+    cut = min(_RAGGED * width, 0.3 * float(arc[-1]))
+    low, high = cut * start, arc[-1] - cut * end
+    first, last = interpolate(piece, arc, np.array([low, high]))
+    return np.concatenate([first[None], piece[(arc > low) & (arc < high)], last[None]])
+
+
+@compiled("(f8[:,::1], f8)")
+def sharp_turns(points: Array, width: float) -> int:
+    """Return how often a curve turns more sharply between two chords that meet than ropes do.
+
+    Args:
+        points: ``(P, 2)`` pixels.
+        width: Of the rope, pixels.
+    """
+    arc, reach, limit = arc_length(points), CHORD * width, math.cos(_SHARP)
+    found, free, before, after = 0, 0.0, 0, 0
+    for p in range(len(points)):
+        if arc[p] < reach or arc[-1] - arc[p] < reach:
+            continue
+        while arc[before + 1] <= arc[p] - reach:
+            before += 1
+        while arc[after] < arc[p] + reach and after < len(points) - 1:
+            after += 1
+        if arc[p] < free:
+            continue
+        du, dv = points[p, 0] - points[before, 0], points[p, 1] - points[before, 1]
+        far_u, far_v = points[after, 0] - points[p, 0], points[after, 1] - points[p, 1]
+        if du * far_u + dv * far_v < limit * np.hypot(du, dv) * np.hypot(far_u, far_v):
+            found += 1
+            free = arc[p] + 2 * reach  # one turn is counted once
+    return found

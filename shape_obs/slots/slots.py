@@ -19,7 +19,7 @@ from shape_obs.image.region import Region
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.image.sharing import EXPECTED, FOUND, MOST, TRACED, WIDE, Reach, owned_runs, part_of, share, share_pixels
 from shape_obs.initialization.appearance import middle_width
-from shape_obs.initialization.gaps import sharp_turns
+from shape_obs.initialization.strand_curves import sharp_turns
 from shape_obs.shape import Shape
 from shape_obs.slots.attempts import (
     DOUBTFUL,

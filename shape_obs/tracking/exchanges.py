@@ -9,12 +9,13 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.initialization.gaps import CHORD, NOISE, Lead, bending, lead
+from shape_obs.initialization.pairing import CHORD, Lead, bending, lead
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 TOUCH: Final = 1.2  # widths: ropes touch where their middles are nearer; side by side they are 1, and noise adds 0.2
+_NOISE: Final = 0.08  # rad^2, see ``bending``: what noise makes ropes bend more one way than another
 _BLOCK: Final = 16  # points of a curve with a common bounding box, which saves most distances
 
 
@@ -37,7 +38,7 @@ def exchange_gain(first: FittedCurve, second: FittedCurve, width: float) -> floa
         ]
         if None not in leads:
             gain = max(gain, _gain([each for each in leads if each is not None]))
-    return max(gain - NOISE, 0.0)
+    return max(gain - _NOISE, 0.0)
 
 
 @compiled("(f8[:,::1], f8[:,::1], f8)")

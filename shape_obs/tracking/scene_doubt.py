@@ -12,7 +12,7 @@ from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.observed import Observed
 from shape_obs.image.region import Region
-from shape_obs.initialization.gaps import sharp_turns
+from shape_obs.initialization.strand_curves import sharp_turns
 
 Array = npt.NDArray[np.float64]
 

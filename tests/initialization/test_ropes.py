@@ -67,9 +67,17 @@ def test_a_rope_that_the_mask_cuts_is_joined():
     assert all(rope.curve.size > 240 for rope in found)
 
 
-def test_a_gap_that_two_ropes_could_fill_is_left():
+def test_a_gap_that_two_ropes_could_fill_is_left_and_all_three_are_refused():
     found = ropes(lines(((20, 120), (140, 120)), ((165, 112), (300, 60)), ((165, 128), (300, 180))))
     assert len(found) == 3
+    assert all("the two may be one" in rope.curve.ambiguity for rope in found)
+
+
+@pytest.mark.parametrize(("gap", "pieces", "sure"), [(20, 1, True), (50, 2, False), (100, 2, True)])
+def test_the_wider_a_gap_the_less_it_is_one_rope(gap, pieces, sure):
+    found = ropes(lines(((20, 120), (140, 120)), ((140 + gap, 120), (300, 120))))
+    assert len(found) == pieces
+    assert all(sure != bool(rope.curve.ambiguity) for rope in found)
 
 
 def test_two_ropes_under_something_wide_are_not_joined_into_one():

@@ -1,0 +1,203 @@
+"""Which strand ends belong together: the least-cost pairing of ends that compete, with all evidence in nats.
+
+Strands meet at crossings, are cut by gaps in a mask, and run along shared branches, and each time the question is
+which end goes on as which other one, and which ends there. All pairings of ends that compete are compared at once
+(a minimum-cost matching); a pair is the more certain, the dearer the best pairing without it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shape_obs.compiled import compiled
+from shape_obs.geometry.polyline import arc_length, interpolate
+from shape_obs.image.connected_runs import find_root
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
+
+CHORD: Final = 1.5  # widths of rope over which a direction is taken: less follows the pixels, more cuts the bends
+END: Final = 2.2  # nats that a rope ends in a place where it could go on
+ONTO: Final = 9.0  # nats that it ends right on another one
+SURE: Final = 1.2  # nats by which all others are dearer if a way is sure: odds of 3 to 1
+NARROW: Final = 1.0  # widths of a gap that cost a nat: what noise, or another rope, leaves out of a mask
+_STIFFNESS: Final = 48.0  # nats that 1 rad^2 costs over one width: a right angle over five widths costs six
+MOST: Final = 10  # ends, or pieces of a rope, of which all pairings are compared: the work doubles with each more
+
+
+class Lead(NamedTuple):
+    """How a strand leaves a zone or a gap: from a point (u, v) where it is clear of it, in pixels, away from it."""
+
+    u: float
+    v: float
+    heading_u: float
+    heading_v: float
+
+    @property
+    def point(self) -> Array:
+        """``(2,)`` pixels."""
+        return np.array([self.u, self.v])
+
+    @property
+    def heading(self) -> Array:
+        """``(2,)`` unit vector, away from the zone."""
+        return np.array([self.heading_u, self.heading_v])
+
+
+def lead(curve: Array, width: float) -> Lead:
+    """Return how a rope of a width, ``(P, 2)`` pixels, leaves its first point: the direction of its first chord.
+
+    On a bend a chord is parallel to the tangent in its middle, so the two belong together.
+    """
+    return Lead(*first_chord(np.ascontiguousarray(curve), CHORD * width))
+
+
+@compiled("(f8[:,::1], f8)")
+def first_chord(curve: Array, reach: float) -> tuple[float, float, float, float]:
+    """Return the point in the middle of the first ``reach`` pixels of a curve, and the direction of their chord."""
+    arc = arc_length(curve)
+    reach = min(reach, arc[-1])
+    start, middle, end = interpolate(curve, arc, np.array([0.0, reach / 2, reach]))
+    along = max(np.hypot(end[0] - start[0], end[1] - start[1]), 1e-9)
+    return middle[0], middle[1], (end[0] - start[0]) / along, (end[1] - start[1]) / along
+
+
+def bending(before: Lead, after: Lead) -> float:
+    """Return how much a smooth curve between two strands bends: bending energy times length over 4, rad^2.
+
+    Both headings point away from the gap. Of a cubic that turns by a and b from its chord at its ends the energy is
+    4 (a^2 - a b + b^2) over its length: an arc is cheaper than an S.
+    """
+    u, v = after.u - before.u, after.v - before.v
+    first = _turn(-before.heading_u, -before.heading_v, u, v)
+    second = _turn(u, v, after.heading_u, after.heading_v)
+    return first * first - first * second + second * second
+
+
+def _turn(u: float, v: float, next_u: float, next_v: float) -> float:
+    """Return the signed angle from one direction to another, radians."""
+    return math.atan2(u * next_v - v * next_u, u * next_u + v * next_v)
+
+
+def price_of(before: Lead, after: Lead, width: float) -> float:
+    """Return what it costs that a strand goes on as another one, nats.
+
+    The longer the way, the more a rope bends along it: the variance of the bend grows with the length.
+
+    Args:
+        before: How the one leaves the place.
+        after: How the other one does.
+        width: Of the rope, pixels.
+    """
+    length = math.hypot(after.u - before.u, after.v - before.v) + width
+    return _STIFFNESS * bending(before, after) * width / length
+
+
+@compiled("(f8[:,::1],)")
+def cheapest_pairing(price: Array) -> tuple[Index, Array]:
+    """Return the cheapest pairing of ends, and how certain each pair is.
+
+    A pair that is dearer than two ends that stay alone, by what is sure, connects no ends that compete.
+
+    Args:
+        price: ``(E, E)`` nats of each pair, inf if it cannot be; in the diagonal what it costs that an end stays alone.
+
+    Returns:
+        ``(E,)`` the partner of each end, itself if it stays alone; ``(E,)`` by how many nats the best pairing without
+        this pair is dearer. Where more ends compete than can be compared, all stay alone, and their margin is 0.
+    """
+    count = len(price)
+    partner, margin, group = np.arange(count), np.full(count, np.inf), np.arange(count)
+    for i in range(count):
+        for j in range(i):
+            if price[i, j] < price[i, i] + price[j, j] + SURE:
+                first, second = find_root(group, i), find_root(group, j)
+                group[max(first, second)] = min(first, second)
+    for root in range(count):
+        ends = np.array([end for end in range(root, count) if find_root(group, end) == root])
+        if len(ends) > MOST:
+            margin[ends] = 0.0
+        elif len(ends) > 1:
+            total, others = _pair(price, ends, partner), partner.copy()
+            for i in ends:
+                j = partner[i]
+                if i <= j:
+                    kept, price[i, j], price[j, i] = price[i, j], np.inf, np.inf
+                    margin[i] = margin[j] = _pair(price, ends, others) - total
+                    price[i, j] = price[j, i] = kept
+    return partner, margin
+
+
+@compiled
+def _pair(price: Array, ends: Index, partner: Index) -> float:
+    """Write the cheapest pairing of some ends into ``(E,)`` and return its price, by that of every set of them."""
+    best, chosen = np.zeros(1 << len(ends)), np.zeros(1 << len(ends), np.int64)
+    last = 0  # the highest of a set: one of its pairs holds it
+    for some in range(1, len(best)):
+        last += some >> last > 1
+        rest = some ^ 1 << last
+        best[some], chosen[some] = price[ends[last], ends[last]] + best[rest], last
+        for k in range(last):
+            if rest >> k & 1 and price[ends[last], ends[k]] + best[rest ^ 1 << k] < best[some]:
+                best[some], chosen[some] = price[ends[last], ends[k]] + best[rest ^ 1 << k], k
+    some = len(best) - 1
+    for last in range(len(ends) - 1, -1, -1):
+        if some >> last & 1:
+            first, second = ends[chosen[some]], ends[last]
+            partner[first], partner[second] = second, first
+            some &= ~(1 << last | 1 << chosen[some])
+    return best[len(best) - 1]
+
+
+@compiled("(f8[:,::1],)")
+def cheapest_order(price: Array) -> tuple[float, npt.NDArray[np.int64]]:
+    """Return the cheapest way through all pieces, and the ends in its order (Held and Karp, 1962).
+
+    Args:
+        price: ``(2n, 2n)`` of going on from each end to each other; end 2 i + e is of piece i.
+    """
+    size = len(price)
+    full = (1 << size // 2) - 1
+    best, came = np.full((full + 1, size), np.inf), np.zeros((full + 1, size), np.int64)
+    for end in range(size):
+        best[1 << end // 2, end] = 0.0
+    for done in range(1, full):
+        for entry in range(size):
+            if done >> entry // 2 & 1:
+                continue
+            then = done | 1 << entry // 2
+            for end in range(size):
+                if best[done, end] + price[end, entry] < best[then, entry ^ 1]:
+                    best[then, entry ^ 1] = best[done, end] + price[end, entry]
+                    came[then, entry ^ 1] = end
+    end = int(np.argmin(best[full]))
+    total, done, order = best[full, end], full, np.empty(size, np.int64)
+    for at in range(size - 1, -1, -2):
+        order[at], order[at - 1] = end, end ^ 1
+        done, end = done ^ 1 << end // 2, came[done, end]
+    return total, order
+
+
+def routes(partner: Index, curves: Iterable[int]) -> list[list[int]]:
+    """Return curves strung together: by which end each is entered. Strands with ends come first, then rings.
+
+    Args:
+        partner: ``(E,)`` which end goes on as which, itself if as none; ends 2 i and 2 i + 1 are those of curve i.
+        curves: Those that are strung together.
+    """
+    found: list[list[int]] = []
+    done: set[int] = set()
+    for start in sorted((2 * i + e for i in curves for e in (0, 1)), key=lambda end: partner[end] != end):
+        route, end = list[int](), start
+        while end // 2 not in done:
+            done.add(end // 2)
+            route.append(end)
+            end = int(partner[end ^ 1])
+        if route:
+            found.append(route)
+    return found
