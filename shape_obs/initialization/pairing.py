@@ -49,12 +49,12 @@ class Lead(NamedTuple):
         return np.array([self.heading_u, self.heading_v])
 
 
-def lead(curve: Array, width: float) -> Lead:
+def lead(curve: Array, width: float, chord: float = CHORD) -> Lead:
     """Return how a rope of a width, ``(P, 2)`` pixels, leaves its first point: the direction of its first chord.
 
     On a bend a chord is parallel to the tangent in its middle, so the two belong together.
     """
-    return Lead(*first_chord(np.ascontiguousarray(curve), CHORD * width))
+    return Lead(*first_chord(np.ascontiguousarray(curve), chord * width))
 
 
 @compiled("(f8[:,::1], f8)")

@@ -19,6 +19,7 @@ _SMOOTHING: Final = 0.35  # widths, sigma of a blur along a branch: less leaves 
 _CUT: Final = 0.4  # widths that a free end is cut by, where the skeleton may turn into a corner of the rope's end
 _FOLLOWED: Final = 2.0  # widths of a shared branch along which strands are followed; a shorter one is passed smoothly
 _RAGGED: Final = 0.7  # widths of a piece cut off at a gap: at a slanting cut an axis runs into the sharper corner
+_TANGENT: Final = 1.0  # widths over which the direction of a bridge is taken at its ends
 _SHARP: Final = math.radians(75)  # between two chords; in a circle two widths in diameter they turn by 43 degrees
 
 
@@ -150,7 +151,7 @@ def join(pieces: list[Array], width: float) -> tuple[Array, npt.NDArray[np.bool_
     for place, piece in enumerate(pieces):
         piece = without_ragged_ends(piece, width, start=place > 0, end=place < len(pieces) - 1)
         if run:
-            before, after = lead(run[-1][::-1], width), lead(piece, width)
+            before, after = lead(run[-1][::-1], width, _TANGENT), lead(piece, width, _TANGENT)
             run.append(hermite(run[-1][-1], -before.heading, piece[0], after.heading, width / 4))
         run.append(piece)
     is_gap = [np.full(len(part), i % 2 == 1) for i, part in enumerate(run)]
