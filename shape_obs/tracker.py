@@ -133,7 +133,7 @@ class Tracker:
             far = self._gate.exceeded(found.track.nodes, expected, seconds, scene)
             if not far:
                 return found
-            if expected.stale and not (before is not None and before.joined):
+            if expected.lost and not (before is not None and before.joined):
                 return self.spec.fit(observed, None, self.target(scene), scene)
         elif not alone:
             return found

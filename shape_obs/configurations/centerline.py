@@ -17,6 +17,7 @@ from shape_obs.geometry.curve import NO_VALUES, FittedCurve, local_stretch
 from shape_obs.geometry.intersections import crossing_table
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import arc_length, catmull_rom, interpolate
+from shape_obs.geometry.rotation import spread_of
 from shape_obs.geometry.topology import Chain, undo_shrinkage
 from shape_obs.image.over_under import upper_strands
 from shape_obs.image.region import Region
@@ -98,37 +99,37 @@ class Centerline(Configuration, kind="centerline"):
         if reason:
             return Fit(reason=reason)
         found = Fit()
-        if prediction is None or prediction.stale:  # nodes that are long out of date pull the chain away
+        if prediction is None or prediction.lost:  # nodes that are long out of date pull the chain away
             found = self._fit_initial(observed, prediction, scene)
         if prediction is not None and (found.track is None or _does_not_fit(found, model.either_end)):
             found = self._step(observed, NO_NODES, width, model.max_hidden, prediction, scene)
             if (off := _innovation(found)) > model.max_size_change:
                 more = observed.area / max(prediction.track.size * width, 1e-9) if observed.dimension == 2 else 1.0
                 most = model.more_pixels
-                if more > most and math.isinf(off) and not prediction.stale:  # noise, or another object: be quick
+                if more > most and math.isinf(off) and not prediction.lost:  # noise, or another object: be quick
                     return Fit(reason=f"the mask has {more:.2g} times as many pixels as the rope (at most {most:.2g})")
                 # It is of another length, or the chain lost its way: an initial axis decides.
                 again = self._fit_initial(observed, prediction, scene)
                 fits = not math.isinf(_innovation(again))
                 better = fits and (_innovation(again) <= off or _is_whole(again, model.whole_length))
                 found = again if better else found
-        if (prediction is None or prediction.stale) and not math.isinf(_innovation(found)):
+        if (prediction is None or prediction.lost) and not math.isinf(_innovation(found)):
             found = self._numbered(found, observed, prediction, target)
         return found
 
     def _numbered(self, found: Fit, observed: Observed, prediction: Prediction | None, target: Array | None) -> Fit:
         """Number a rope from the end that is remembered, if it was lost; else by the paper's rule."""
-        curve, track, order = found.form, found.track, 0
+        curve, track, nats = found.form, found.track, 0.0
         assert track is not None
         if prediction is not None and self.order != "image":
             nats = evidence_of_order(prediction.track, track.nodes, prediction.seconds)
-            order = 0 if abs(nats) < SURE else 1 if nats > 0 else -1
-        if order == 0 and (prediction is None or _seems_whole(found)):
-            numbered = self.apply_index_order(curve, observed.seen(curve.points, target), target)
-            order = 1 if numbered is curve else -1
-        elif order:
+        turns = nats < 0
+        if abs(nats) >= SURE:
             found = found._replace(same=True)
-        if order == -1:
+        else:
+            rule = prediction is None or _seems_whole(found)
+            turns = rule and self.apply_index_order(curve, observed.seen(curve.points, target), target) is not curve
+        if turns:
             found = found._replace(form=curve.reversed(), track=reversed_rope(track, len(curve.points)))
         return found
 
@@ -201,8 +202,8 @@ class Centerline(Configuration, kind="centerline"):
             nodes = np.empty((0, dimension))
             state = new_rope(self.model, self.length or 0.0)
             return state, nodes, nodes, NO_VALUES, NO_VALUES, scene.clock.now, False, math.inf
-        track, now, _, stale, reach = prediction
-        return track.state, track.nodes, track.velocity, track.log_depth, track.depth_rate, now, stale, reach
+        track, now, _, lost, reach = prediction
+        return track.state, track.nodes, track.velocity, track.log_depth, track.depth_rate, now, lost, reach
 
     def apply_index_order(self, form: FittedCurve, seen: Array, target: Array | None) -> FittedCurve:
         """Return the curve with point 0 at the end nearest the target, else nearest the top left."""
@@ -224,7 +225,7 @@ class Centerline(Configuration, kind="centerline"):
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
         masks = step_chain, points_along, direction
-        masks += sharp_bends, local_stretch, leave_out_overlaid, crossing_table, upper_strands
+        masks += sharp_bends, local_stretch, leave_out_overlaid, crossing_table, upper_strands, spread_of
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
         clouds += (visible_nodes,)
         return masks + AXIS_FUNCTIONS + clouds

@@ -103,10 +103,7 @@ class Surface(Configuration, kind="surface"):
         box, model = observed.box[:4] if observed.box else NO_BOX, self.model.record
         velocity = advance_sheet(track.state, form.points, form.size, found.object_width, box, before, model)
         found = found._replace(form=form, track=track._replace(nodes=form.points, velocity=velocity))
-        found = self._judge_isometry(found, observed, prediction is not None, scene)
-        if found.form.ambiguity and prediction is not None:
-            track.state["sides"] = before[0]["sides"]
-        return found
+        return self._judge_isometry(found, observed, before, scene)
 
     def _fit_in_image(self, region: Region, before: ShapeBefore, scene: Scene) -> Fit:
         """Fit a sheet in a mask, in one compiled call."""
@@ -152,8 +149,11 @@ class Surface(Configuration, kind="surface"):
                 return Fit(form, quality, "", track, observed)
         return Fit(reason=sheet_fault(fault, observed.noun))
 
-    def _judge_isometry(self, found: Fit, observed: Observed, tracked: bool, scene: Scene) -> Fit:
-        """Mark what is folded or crumpled, a sheet or single nodes, as uncertain; refuse a new sheet."""
+    def _judge_isometry(self, found: Fit, observed: Observed, before: ShapeBefore, scene: Scene) -> Fit:
+        """Mark what is folded or crumpled, a sheet or single nodes, as uncertain: it teaches no side lengths.
+
+        A new sheet is refused.
+        """
         form, (rows, cols), camera, model = found.form, (self.rows, self.cols), scene.intrinsics, self.model
         if camera is not None and scene.depth is not None:
             lattice = form.points if observed.dimension == 2 else camera.project(form.points)
@@ -167,7 +167,15 @@ class Surface(Configuration, kind="surface"):
         uncertain, share = isometry.verdict(model)
         flags = form.interpolated | (isometry.off > model.uncertain * isometry.gap)
         form = replace(form, interpolated=flags, off=isometry.off, ambiguity=uncertain)
-        return found._replace(form=form, quality=found.quality * share, reason="" if tracked else uncertain)
+        found = found._replace(form=form, quality=found.quality * share)
+        if not uncertain:
+            return found
+        state, last = before[:2]
+        if not len(last):
+            return found._replace(reason=uncertain)
+        assert found.track is not None
+        found.track.state["sides"] = state["sides"]
+        return found
 
     def _rejection_reason(self, observed: Observed, width: float, tracked: bool) -> str:
         """Return why an object cannot be a sheet: a speck, a ribbon, pieces, corners out of sight, or no outline."""

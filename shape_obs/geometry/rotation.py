@@ -244,7 +244,7 @@ def covariance_of(before: Array, after: Array, weight: npt.NDArray[Any]) -> tupl
     return covariance, first, second
 
 
-@compiled
+@compiled("(f8[:,::1],)")
 def spread_of(points: Array) -> float:
     """Return the mean square distance of points ``(N, D)`` from their mean."""
     count, total = len(points), 0.0

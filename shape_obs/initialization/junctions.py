@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.geometry.polyline import arc_length
-from shape_obs.initialization.pairing import ONTO, Lead, cheapest_pairing
+from shape_obs.initialization.pairing import MOST, ONTO, Lead, cheapest_pairing
 from shape_obs.initialization.skeleton import Branch, Skeleton, degrees
 
 Array = npt.NDArray[np.float64]
@@ -95,13 +95,14 @@ def find_zones(skeleton: Skeleton) -> Zones:
             if cost < min(2 * ONTO, price[first, last]):  # a dearer one is never shared
                 price[first, last] = price[last, first] = cost
                 along[first, last] = along[last, first] = i
-    partner, margin = cheapest_pairing(price)
+    partner, _ = cheapest_pairing(price)
     shared = {along[k, other] for k, other in enumerate(partner.tolist()) if k != other}
     zone = connected(max(degree, default=-1) + 1, np.array([branches[i].nodes for i in shared], int).reshape(-1, 2))
     nodes = np.array([branch.nodes for branch in branches], int).reshape(-1)
+    most = np.bincount(connected(len(odd), np.argwhere(np.isfinite(price))), minlength=1).max()
     crowded = f"strands meet in {len(odd)} places, too close together to tell them apart"
     kept = tuple(i for i in range(len(branches)) if i not in shared)
-    return Zones(kept, tuple(sorted(shared)), nodes, zone[nodes], crowded if (margin == 0).any() else "")
+    return Zones(kept, tuple(sorted(shared)), nodes, zone[nodes], crowded if most > MOST else "")
 
 
 def connected(count: int, pairs: Index) -> Index:

@@ -17,7 +17,6 @@ from shape_obs.initialization.appearance import Picture
 from shape_obs.initialization.crossings import untangle
 from shape_obs.initialization.folding import AXIS_POINTS, closest_sides, fold_outline, unexplained_share
 from shape_obs.initialization.pairing import (
-    MOST,
     NARROW,
     SURE,
     bending,
@@ -26,6 +25,7 @@ from shape_obs.initialization.pairing import (
     first_chord,
     lead,
     price_of,
+    routes,
 )
 from shape_obs.initialization.skeleton import MOST_OF_NOISE, middle_value, skeleton_graph, trace_skeleton
 from shape_obs.initialization.strand_curves import (
@@ -109,9 +109,6 @@ def _axis_of_mask(region: Region) -> FittedCurve:
     doubts = _doubts(strands, kept, alone=region.pieces == 1)
     if len(kept) == 1:
         return _axis(kept[0].curve, doubt="; ".join(dict.fromkeys(doubts)))
-    if len(kept) > MOST:
-        doubts.append(f"the mask shows {len(kept)} pieces of rope, too many to try all orders")
-        kept = sorted(kept, key=lambda strand: -strand.length)[:MOST]
     width = max(strand.width for strand in kept)
     joined, sure, bent = _in_order([strand.curve for strand in kept], width)
     if not sure:
@@ -137,17 +134,15 @@ def _in_order(pieces: list[Array], width: float) -> tuple[list[Array], bool, flo
     leads, tips = [lead(end, width) for end in ends], np.array([end[0] for end in ends])
     gap = np.linalg.norm(tips[:, None] - tips, axis=2) / width  # (2n, 2n)
     price = gap / NARROW
+    np.fill_diagonal(price, np.inf)
     for p, q in combinations(range(len(ends)), 2):
         price[p, q] += price_of(leads[p], leads[q], width) if p // 2 != q // 2 else np.inf
         price[q, p] = price[p, q]
-    total, order = cheapest_order(price)
-    sure, bent = True, 0.0
-    for out, into in zip(order[1:-1:2], order[2::2], strict=True):
-        bent = max(bent, bending(leads[out], leads[into]) if gap[out, into] > _WIDE else 0.0)
-        without = price.copy()
-        without[out, into] = without[into, out] = np.inf
-        sure &= cheapest_order(without)[0] - total >= SURE
-    return [pieces[entry // 2][:: 1 - 2 * (entry % 2)] for entry in order[::2]], sure, bent
+    partner, margin = cheapest_order(price)
+    wide = (gap > _WIDE)[np.arange(len(ends)), partner]  # (2n,) whether the gap behind an end is
+    bent = max((bending(leads[end], leads[partner[end]]) for end in np.flatnonzero(wide)), default=0.0)
+    (route,) = routes(partner, range(len(pieces)))
+    return [pieces[end // 2][:: 1 - 2 * (end % 2)] for end in route], bool(margin.min() >= SURE), bent
 
 
 def _axis(curve: Array, bridged: npt.NDArray[np.bool_] | None = None, doubt: str = "") -> FittedCurve:

@@ -109,7 +109,7 @@ def cheapest_pairing(price: Array) -> tuple[Index, Array]:
 
     Returns:
         ``(E,)`` the partner of each end, itself if it stays alone; ``(E,)`` by how many nats the best pairing without
-        this pair is dearer. Where more ends compete than can be compared, all stay alone, and their margin is 0.
+        this pair is dearer, where more than ``MOST`` compete the cheapest other choice of one of the two.
     """
     count = len(price)
     partner, margin, group = np.arange(count), np.full(count, np.inf), np.arange(count)
@@ -121,7 +121,12 @@ def cheapest_pairing(price: Array) -> tuple[Index, Array]:
     for root in range(count):
         ends = np.array([end for end in range(root, count) if find_root(group, end) == root])
         if len(ends) > MOST:
-            margin[ends] = 0.0
+            alone, dearer = np.diag(price), np.full((count, count), np.inf)  # than if both stay alone
+            alone = np.where(np.isinf(alone), 0.0, alone)
+            for i in ends:
+                for j in ends:
+                    dearer[i, j] = price[i, j] - alone[i] - alone[j] * (i != j)
+            _pair_in_turn(dearer, partner, margin, np.arange(count))
         elif len(ends) > 1:
             total, others = _pair(price, ends, partner), partner.copy()
             for i in ends:
@@ -154,13 +159,62 @@ def _pair(price: Array, ends: Index, partner: Index) -> float:
     return best[len(best) - 1]
 
 
+@compiled
+def _pair_in_turn(price: Array, partner: Index, margin: Array, far: Index) -> None:
+    """Pair ends into ``(E,)``, each time the cheapest pair that is left, and write how clearly each was the cheapest.
+
+    Args:
+        price: ``(E, E)``, of an end that stays alone in the diagonal; overwritten.
+        partner: ``(E,)``.
+        margin: ``(E,)``, by how much each other choice of the two was dearer.
+        far: ``(E,)`` the other end of the piece of each, which it is not to be joined with; itself if it may be.
+    """
+    far = far.copy()  # of the chain of pieces that an end is an end of
+    while True:
+        first, second = divmod(int(np.argmin(price)), len(price))
+        least = price[first, second]
+        if math.isinf(least):
+            return
+        price[first, second] = price[second, first] = np.inf
+        beyond = min(price[first].min(), price[second].min()) - least
+        for end, other in ((first, second), (second, first)):
+            partner[end], margin[end] = other, beyond
+            price[end], price[:, end] = np.inf, np.inf
+        if far[first] != first:
+            one, other = far[first], far[second]
+            far[one], far[other] = other, one
+            price[one, other] = price[other, one] = np.inf
+
+
 @compiled("(f8[:,::1],)")
-def cheapest_order(price: Array) -> tuple[float, npt.NDArray[np.int64]]:
-    """Return the cheapest way through all pieces, and the ends in its order (Held and Karp, 1962).
+def cheapest_order(price: Array) -> tuple[Index, Array]:
+    """Return the cheapest way through all pieces of a rope, as ends that follow each other, and how certain each is.
 
     Args:
         price: ``(2n, 2n)`` of going on from each end to each other; end 2 i + e is of piece i.
+
+    Returns:
+        ``(2n,)`` the end that each goes on as, itself at the two ends of the rope, and ``(2n,)`` the margin of that,
+        see ``cheapest_pairing``.
     """
+    size = len(price)
+    partner, margin = np.arange(size), np.full(size, np.inf)
+    if size > 2 * MOST:
+        _pair_in_turn(price.copy(), partner, margin, np.arange(size) ^ 1)
+        return partner, margin
+    total, others = _order(price, partner), partner.copy()
+    for i in range(size):
+        j = partner[i]
+        if i < j:
+            kept, price[i, j], price[j, i] = price[i, j], np.inf, np.inf
+            margin[i] = margin[j] = _order(price, others) - total
+            price[i, j] = price[j, i] = kept
+    return partner, margin
+
+
+@compiled
+def _order(price: Array, partner: Index) -> float:
+    """Write the cheapest way through all pieces into ``(2n,)`` and return its price (Held and Karp, 1962)."""
     size = len(price)
     full = (1 << size // 2) - 1
     best, came = np.full((full + 1, size), np.inf), np.zeros((full + 1, size), np.int64)
@@ -176,11 +230,15 @@ def cheapest_order(price: Array) -> tuple[float, npt.NDArray[np.int64]]:
                     best[then, entry ^ 1] = best[done, end] + price[end, entry]
                     came[then, entry ^ 1] = end
     end = int(np.argmin(best[full]))
-    total, done, order = best[full, end], full, np.empty(size, np.int64)
-    for at in range(size - 1, -1, -2):
-        order[at], order[at - 1] = end, end ^ 1
-        done, end = done ^ 1 << end // 2, came[done, end]
-    return total, order
+    total, done = best[full, end], full
+    partner[end] = end
+    for _ in range(size // 2 - 1):
+        before = came[done, end]
+        done ^= 1 << end // 2
+        partner[before], partner[end ^ 1] = end ^ 1, before
+        end = before
+    partner[end ^ 1] = end ^ 1
+    return total
 
 
 def routes(partner: Index, curves: Iterable[int]) -> list[list[int]]:

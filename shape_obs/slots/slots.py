@@ -196,12 +196,12 @@ class Slots:
         far = _FAR * math.hypot(*seen.scene.size)
         # What was lost for long may be anywhere, but so may be what has come instead.
         reach = [
-            0.0 if each is None else NEXT_TO * width if each.stale else far * min(each.intervals, _MISSED)
+            0.0 if each is None else NEXT_TO * width if each.lost else far * min(each.intervals, _MISSED)
             for each in seen.expected
         ]
         lengths = [(track is not None and track.length_in_image) or math.inf for track in seen.tracks]
         seats = seat_tracked(objects, seen.ahead, reach, lengths)
-        free = [k for k, each in enumerate(seen.expected) if each is None or each.stale]
+        free = [k for k, each in enumerate(seen.expected) if each is None or each.lost]
         targets = [tracker.target(seen.scene) for tracker in self.trackers]
         kept = near_tracks(objects, seen.ahead, NEXT_TO * width) if objects else ()
         seats = seat_others(

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.geometry.polyline import resample
+from shape_obs.geometry.rotation import spread_of
 from shape_obs.tracking.predict import Track
 
 Array = npt.NDArray[np.float64]
@@ -37,11 +38,6 @@ def evidence_of_order(lost: Track, nodes: Array, seconds: float) -> float:
     """
     form, known = resample(nodes, _PLACES), resample(lost.nodes, _PLACES)  # (P, D)
     square = max(lost.size, 1e-9) ** 2
-    spread = _MOVES**2 * (1 + seconds) + _LASTS * seconds * _mean_square(lost.velocity) / square
-    own, reverse = (np.log(spread + _mean_square(way - known) / square) for way in (form, form[::-1]))
+    spread = _MOVES**2 * (1 + seconds) + _LASTS * seconds * spread_of(lost.velocity) / square
+    own, reverse = (np.log(spread + spread_of(way - known) / square) for way in (form, form[::-1]))
     return _FREE / 2 * float(reverse - own)
-
-
-def _mean_square(ways: Array) -> float:
-    """Return the mean square of ``(P, D)`` ways, without what all of them share."""
-    return float(np.mean(np.sum((ways - ways.mean(axis=0)) ** 2, axis=1)))

@@ -160,14 +160,14 @@ class Prediction(NamedTuple):
         track: Where it was, and all that is known of it.
         now: When the frame was taken, seconds.
         model: How it moves.
-        stale: Whether the shape was lost for so long that its numbering begins again.
+        lost: For longer than ``max_age``, so that its numbering may begin again.
         reach: How far its nodes can have moved; infinity without a limit.
     """
 
     track: Track
     now: float
     model: MotionModel
-    stale: bool = False
+    lost: bool = False
     reach: float = math.inf
 
     @property

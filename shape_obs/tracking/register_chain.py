@@ -107,7 +107,7 @@ def _match(
     """
     last, metric, in_space = len(arc) - 1, len(metres) > 0, points.shape[1] == 3
     along, size = metres if metric else arc, metres[-1] if metric else 0.0
-    width, resolution, stale, motion, seconds, lasted, _ = expected
+    width, resolution, was_lost, motion, seconds, lasted, _ = expected
     now.elsewhere, now.misplaced, now.plain = 0.0, 0.0, False
     gap = _widest_gap(arc, flags)
     unbroken, length = not flags.any(), was.metres if metric else was.pixels
@@ -156,7 +156,7 @@ def _match(
         )  # fmt: skip
         beyond = model.by_noise * noise / length
         hidden = max(placed.head / length - beyond, 0.0), max(placed.tail / length - beyond, 0.0)
-        lost = stale > 0 or seconds > model.lost_after
+        lost = was_lost > 0 or seconds > model.lost_after
         bridge = along[gap[1]] - along[gap[0]]
         strayed = beyond_rest(placed.apart, motion, model.motion_floor * resolution)
         shown = (
@@ -267,8 +267,9 @@ def _runs_back(
         before: ``(K, D)`` where its nodes were.
         model: The constants, one ``ChainModel``.
     """
-    if _is_along(found, nodes, model):
-        return False, False
+    own, other = _ways(found, nodes)
+    if model.clear * own < other or model.clear * other < own:
+        return other < own, False
     _, resolution, _, _, seconds, _, reach = expected
     way = direction(points, before, reach)
     if way != 0:
@@ -319,13 +320,6 @@ def direction(points: Array, before: Array, reach: float) -> int:
         return 0
     own, other = _ways(points, before)
     return int(own / 2 <= reach < other / 2) - int(other / 2 <= reach < own / 2)
-
-
-@compiled
-def _is_along(points: Array, nodes: Array, model: Any) -> bool:
-    """Return whether a curve clearly runs in the direction of ``(K, D)`` nodes, by the distances of its ends."""
-    own, other = _ways(points, nodes)
-    return model.clear * own < other
 
 
 @compiled

@@ -80,7 +80,7 @@ def step_chain(
     """
     runs, mask, window, box, edge, depth, lens = image
     points, flags, spread, breadth, resolution = cloud
-    known, last, velocity, deep_before, depth_rate, stamp, stale, reach = before
+    known, last, velocity, deep_before, depth_rate, stamp, lost, reach = before
     constants, was, cold, nothing = model[0], known[0], len(last) == 0, lens[:0]
 
     nodes, node_log_depth, motion = predict(
@@ -88,7 +88,7 @@ def step_chain(
     )
     seconds = np.inf if cold else stamp - was.stamp
     lasted = 0.0 if cold else counted(seconds, constants)
-    expected = width, resolution, 1.0 if stale else 0.0, motion, seconds, lasted, reach
+    expected = width, resolution, 1.0 if lost else 0.0, motion, seconds, lasted, reach
 
     arc, metres, log_depth, spurious, seen_area = arc_length(points), nothing, nothing, 0.0, 0.0
     ends, shapes = (UNKNOWN, UNKNOWN), np.empty((0, 2))
@@ -122,7 +122,7 @@ def step_chain(
         deep = even_points(log_depth.reshape(-1, 1), stations, len(found), True).reshape(len(found))
         now.steep = arc_length(with_log_depth(points, log_depth))[-1] / max(arc[-1], 1e-9)
 
-    begins = cold or (stale and max(now.hidden[0], now.hidden[1]) <= now.tolerance)
+    begins = cold or (lost and max(now.hidden[0], now.hidden[1]) <= now.tolerance)
     judge_chain(
         was, now, points, arc, flags, metres, log_depth, spread, breadth, width, seen_area, off, spurious, begins,
         in_metres and not cold, constants,

@@ -73,8 +73,9 @@ _ASKED: Final[tuple[dict[str, Any], ...]] = (
     {}, {"spacing": "m"}, {"ends": "tips"}, {}, {"order": "image"}, {"lift": "cloud"}, {"radius": 0.006},
     {"fewer": True},
 )  # fmt: skip
-# Rows in which the last digit decides between two numberings, so that other versions of NumPy give another one.
-_LEFT_OUT: Final = {19, 48}
+# Rows in which the last digit decides: between two numberings with another version of NumPy (19, 48), and on another
+# processor about 0.1 to 0.3 mm of single points (the others), more than a stream may differ by.
+_LEFT_OUT: Final = {1, 19, 31, 48, 57, 60}
 _KINDS: Final = {Rope: "centerline", Blob: "contour", Sheet: "surface"}
 
 

@@ -203,3 +203,22 @@ def test_a_rope_that_bends_in_a_gap_of_the_mask_is_refused():
     mask = lines(((60, 200), (190, 200)), ((204, 192), (300, 115)))
     found = detect(mask)
     assert not any(shape.ok and np.ptp(shape.pixels[:, 0]) > 200 for shape in found)
+
+
+@pytest.mark.parametrize("bars", [4, 9, 12, 15])
+def test_a_rope_behind_a_fence_is_one_rope_and_two_are_two(bars):
+    u = np.linspace(50, 590, 300)
+    one, two = (np.zeros((480, 640), np.uint8) for _ in range(2))
+    for mask, places in ((one, (240,)), (two, (200, 290))):
+        for v in places:
+            cv2.polylines(mask, [np.rint(np.stack([u, v + 20 * np.sin(u / 90)], axis=1)).astype(int)], False, 255, 12)
+        for bar in np.linspace(50, 590, bars + 2)[1:-1]:
+            mask[:, int(bar) - 7 : int(bar) + 7] = 0
+    found = ShapeDetector([Centerline(n=60, ends="tips")]).detect_mask(one).shapes[0]
+    assert found.ok
+    np.testing.assert_allclose(found.pixels[:, 1], 240 + 20 * np.sin(found.pixels[:, 0] / 90), atol=3)
+    assert abs(np.ptp(found.pixels[:, 0]) - 552) < 8  # the pen is round
+    if bars < 10:  # pieces of many more are too short to be told from those of other ropes
+        several = ShapeDetector([Centerline(n=60, count="all", ends="tips")]).detect_mask(two)
+        assert [shape.ok for shape in several] == [True, True]
+        assert all(abs(np.ptp(shape.pixels[:, 0]) - 552) < 8 for shape in several)
