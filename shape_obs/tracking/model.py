@@ -106,16 +106,16 @@ class ChainModel(MotionModel):
     # Register: direction.
     far_along: float = 0.16  # of the length: no rope that is seen in part slides so far between two frames
     clear: float = 3.0  # times: how much nearer ends are to their own places than to each other's
-    unseen: float = 30.0  # squared standard deviations, for a piece where all was folded back
+    unseen: float = 15.0  # nats, for a piece where all was folded back
     uncovering: float = 2.0  # 1/s: how often an end goes out of sight or comes to light
-    sure: float = 8.0  # squared standard deviations by which the other direction has to be less likely
+    sure: float = 4.0  # nats by which the other direction has to be less likely
 
     # Register: placements.
     independent: _Pair = (4.0, 1.0)  # of 32 errors, in form and in place: neighbours err alike
     perfect: float = 0.15  # resolutions: how far off a curve is that was predicted perfectly
     motion_floor: float = 0.35  # resolutions: a rope at rest is not farther from its prediction
     trust: float = 5.0  # squared standard deviations, beyond which costs grow slowly: predictions may be far off
-    cost_of_hiding: tuple[float, float, float] = (4.0, 1.0, 16.0)  # squared s.d.: an unknown, hidden, free end
+    cost_of_hiding: tuple[float, float, float] = (2.0, 0.5, 8.0)  # nats: of an unknown, hidden, free end
     hiding_rate: tuple[float, float, float] = (1.5, 3.0, 1.5)  # of the length in a second, of the same ends
     bridge: float = 0.35  # of a bridged gap: the standard deviation of its length
     too_short: float = 3.0  # standard deviations by which a length may be short, though an end is hidden
@@ -222,8 +222,8 @@ class LatticeModel(OutlineModel):
     corner_spread: _Pair = (0.035, 0.12)  # half diagonals: of one from where the others put it; tilt moves it in space
     shift_spread: float = 0.3  # half diagonals: standard deviation of the motion of all corners
     scale_spread: float = 0.15  # standard deviation of the logarithm of their scale
-    cost_of_hiding: float = 3.0  # squared standard deviations: of a hidden corner
-    cost_of_detour: float = 2.0  # squared standard deviations: at most, of a long side with something over its middle
+    cost_of_hiding: float = 1.5  # nats: of a hidden corner
+    cost_of_detour: float = 1.0  # nats: at most, of a long side with something over its middle
 
     # Register: sides, and what hides a part of them.
     length_tolerance: _Pair = (0.04, 0.07)  # of a side: its length may be off by so much

@@ -2,7 +2,7 @@
 
 For each way to share out what is missing of a rope (at its start, at its end, in a gap, or because the measurement is
 short), the cost is how badly the visible points agree with where their material was expected, how far the measurement
-would have to be off, and what is seen at the tips.
+would have to be off, and what is seen at the tips. Costs are in nats: differences of the log likelihood.
 """
 
 from __future__ import annotations
@@ -154,10 +154,10 @@ def _probes(points: Array, stations: Array, gap: tuple[int, int], between: float
 
 @compiled
 def _surprise(bent: float, apart: float, usual: tuple[float, float], model: Any) -> float:
-    """Return what it costs that a piece lies farther from its prediction than another one, in squared deviations."""
+    """Return what it costs that a piece lies farther from its prediction than another one, nats, see ``limited``."""
     form = max(model.independent[0] / model.trust * bent / usual[0], -_NEARER)
     place = max(model.independent[1] / model.trust * apart / usual[1], -_NEARER)
-    return model.trust * math.log((1 + form) * (1 + place))
+    return model.trust / 2 * math.log((1 + form) * (1 + place))
 
 
 @compiled
@@ -173,27 +173,27 @@ def _cost(
     likely: Array,
     model: Any,
 ) -> tuple[float, float]:
-    """Return what it costs to take lengths at both ends for hidden, and infinity if one that is free would be, else 0.
+    """Return the nats of taking lengths at both ends for hidden, and infinity if one that is free would be, else 0.
 
     What is hidden changes little from frame to frame; a free end is not hidden while something hides the other.
     """
-    cost, impossible = ((missing - head - tail) / loose) ** 2, 0.0
+    cost, impossible = ((missing - head - tail) / loose) ** 2 / 2, 0.0
     if head > 0 and tail > 0 and HIDDEN not in ends:  # one end explains what is missing, though none looks cut
-        cost += 2 * max(-max(cut), 0.0)
+        cost += max(-max(cut), 0.0)
     for end in range(2):
         share, known = (tail if end else head) / length, ends[end]
         was = 0.0 if known == FREE else before[end]
         change = limited(((share - was) / likely[known]) ** 2, model.trust)
         if share > 0:
             price = model.cost_of_hiding[known] if was <= 0 else 0.0
-            price += 0.0 if HIDDEN in ends else 2 * (max(cut) - cut[end])
+            price += 0.0 if HIDDEN in ends else max(cut) - cut[end]
             cost += price
             if known == FREE and HIDDEN in ends:  # a hairpin closes in the image from one frame to the next
-                likelier = 2 * max(cut[end] - cut[1 - end], 0.0)
+                likelier = max(cut[end] - cut[1 - end], 0.0)
                 cost, impossible = cost - likelier, np.inf
                 change = 0.0
         elif HIDDEN not in ends:
-            cost += 2 * max(cut[end], 0.0)
+            cost += max(cut[end], 0.0)
         cost += change
     return cost, impossible
 
@@ -217,8 +217,8 @@ def settled(speed: float, off: float, noise: float, seconds: float, lasted: floa
 
 @compiled
 def limited(square: float, trust: float) -> float:
-    """Return a cost in squared standard deviations that grows slowly beyond ``trust``."""
-    return trust * math.log1p(square / trust)
+    """Return the nats of some squared standard deviations, half as many, which grow slowly beyond ``trust``."""
+    return trust / 2 * math.log1p(square / trust)
 
 
 @compiled

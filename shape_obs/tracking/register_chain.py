@@ -281,7 +281,7 @@ def _runs_back(
     probes = interpolate(found, stations, PROBES * stations[-1])
     off = _unlikely(rope, share, probes, seen, folded, usual, model)
     off_back = _unlikely(rope, share, _backwards(probes), seen, folded, usual, model)
-    uncovered = -2 * math.log(math.tanh(max(model.uncovering * seconds, 1e-9)))  # a chain of two states
+    uncovered = -math.log(math.tanh(max(model.uncovering * seconds, 1e-9)))  # a chain of two states
     for end in range(2):
         off += uncovered * ((was.occluded[end] != 0) != (ends[end] == HIDDEN))
         off_back += uncovered * ((was.occluded[end] != 0) != (ends[1 - end] == HIDDEN))
@@ -346,7 +346,7 @@ def _unlikely(
     usual: tuple[float, float],
     model: Any,
 ) -> float:
-    """Return how unlikely a curve is a piece of a rope, the likeliest of seven, in squared standard deviations.
+    """Return how unlikely a curve is a piece of a rope, the likeliest of seven, in nats.
 
     Args:
         points: ``(K, D)`` of the rope.

@@ -160,7 +160,7 @@ def _cost_of_corners(
     chosen: Indices, visible: int, at: Complexes, to: Complexes, arcs: Array, whole: float, sides: Array,
     tolerance: Array, reach: float, spread: float, model: Any,
 ) -> float:  # fmt: skip
-    """Return what a choice of corners costs, infinity if they are not in order; see ``assign_corners``."""
+    """Return what a choice of corners costs, nats, infinity if they are not in order; see ``assign_corners``."""
     before = after = product = complex(0, 0)
     around, square, cost, last = 0.0, 1e-18, model.cost_of_hiding * (4 - visible), -1
     for k in range(4):
@@ -177,16 +177,16 @@ def _cost_of_corners(
             return np.inf
         if (last + 1) % 4 == k:
             off = (gap - sides[last]) / tolerance[last]
-            cost += min(off * off, model.cost_of_detour) if off > 0 else off * off
+            cost += min(off**2 / 2, model.cost_of_detour if off > 0 else np.inf)
         last = k
     product /= square
     if around > _AROUND * whole or product == 0:
         return np.inf
     for k in range(4):
         if chosen[k] >= 0:
-            cost += (abs(to[chosen[k]] - after - product * (at[k] - before)) / (spread * reach)) ** 2
-    cost += (abs(after - before) / (model.shift_spread * reach)) ** 2
-    return float(cost + (math.log(abs(product)) / model.scale_spread) ** 2)
+            cost += (abs(to[chosen[k]] - after - product * (at[k] - before)) / (spread * reach)) ** 2 / 2
+    cost += (abs(after - before) / (model.shift_spread * reach)) ** 2 / 2
+    return float(cost + (math.log(abs(product)) / model.scale_spread) ** 2 / 2)
 
 
 @compiled
