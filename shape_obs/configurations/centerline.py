@@ -29,7 +29,7 @@ from shape_obs.initialization.objects import SceneObject
 from shape_obs.initialization.ropes import find_ropes
 from shape_obs.point_cloud.lifting import leave_out_overlaid
 from shape_obs.tracking.judge_chain import is_unclear, reason_of
-from shape_obs.tracking.memory import SURE, evidence_of_order
+from shape_obs.tracking.memory import evidence_of_order
 from shape_obs.tracking.model import ChainModel
 from shape_obs.tracking.predict import NO_NODES, Fit, Prediction, Track, reversed_rope
 from shape_obs.tracking.register_chain import direction
@@ -124,7 +124,7 @@ class Centerline(Configuration, kind="centerline"):
         if prediction is not None and self.order != "image":
             nats = evidence_of_order(prediction.track, track.nodes, prediction.seconds)
         turns = nats < 0
-        if abs(nats) >= SURE:
+        if abs(nats) >= self.model.sure:
             found = found._replace(same=True)
         else:
             rule = prediction is None or _seems_whole(found)

@@ -13,8 +13,6 @@ from shape_obs.tracking.predict import Track
 
 Array = npt.NDArray[np.float64]
 
-SURE: Final = 5.0  # nats at which evidence decides: 1 decision in 150 may be wrong
-
 # ``python -m tests.benchmarks record.order``: ropes that move and bend, by up to 1 m/s, while they are out of sight.
 _FREE: Final = 14.0  # coordinates of a form that change independently: at 3 to 5 nats, 1 decision in 20 is wrong
 _MOVES: Final = 0.05  # of the length, RMS: how far nodes move at once, and in the first second

@@ -97,7 +97,7 @@ class ChainModel(MotionModel):
     evidence_memory: float = 0.15  # s: how long evidence for cut tips is kept
     independent_after: float = 0.033  # s: frames closer in time see the same tips, and count in proportion
     certain: float = 8.0  # nats: the most that such evidence can weigh
-    own_tip: float = 6.0  # nats: a tip that is so much likelier the rope's own than cut shows where the rope ends
+    sure: float = 5.0  # nats at which evidence decides, of a tip or of a direction: 1 decision in 150 may be wrong
     hold: float = 0.11  # s, for which an end is taken for hidden after something was seen to hide it
     still_missing: float = 0.5  # of what was hidden: an end is only taken for hidden if so much is missing
     gap_drift: float = 0.1  # of a bridged gap: by so much what is behind it may have moved into it
@@ -108,7 +108,6 @@ class ChainModel(MotionModel):
     clear: float = 3.0  # times: how much nearer ends are to their own places than to each other's
     unseen: float = 15.0  # nats, for a piece where all was folded back
     uncovering: float = 2.0  # 1/s: how often an end goes out of sight or comes to light
-    sure: float = 4.0  # nats by which the other direction has to be less likely
 
     # Register: placements.
     independent: _Pair = (4.0, 1.0)  # of 32 errors, in form and in place: neighbours err alike

@@ -147,7 +147,7 @@ def _match(
     if missing > 0 and (gap[1] > gap[0] or missing > least or HIDDEN in ends):
         cut, loosened = (cut_head, cut_tail), usual
         # The prediction may be of other pieces.
-        if was.drift > model.max_drift and min(cut) <= -model.own_tip and max(cut) > 0:
+        if was.drift > model.max_drift and min(cut) <= -model.sure and max(cut) > 0:
             away = (was.drift * arc_length(rope)[-1]) ** 2
             loosened = usual[0], max(usual[1], away)
         placed = place(
@@ -160,8 +160,8 @@ def _match(
         bridge = along[gap[1]] - along[gap[0]]
         strayed = beyond_rest(placed.apart, motion, model.motion_floor * resolution)
         shown = (
-            FREE if first == UNKNOWN and hidden[0] <= 0 and cut_head <= -model.own_tip else first,
-            FREE if second == UNKNOWN and hidden[1] <= 0 and cut_tail <= -model.own_tip else second,
+            FREE if first == UNKNOWN and hidden[0] <= 0 and cut_head <= -model.sure else first,
+            FREE if second == UNKNOWN and hidden[1] <= 0 and cut_tail <= -model.sure else second,
         )
         now.drift = slid(was.drift, rope, shown, hidden, model.gap_drift * bridge / length, strayed, lost)
         now.elsewhere = 0.0 if bridge > 0 or was.drift > 0 or seconds > model.lost_after else placed.elsewhere
