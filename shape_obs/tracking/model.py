@@ -97,7 +97,7 @@ class ChainModel(MotionModel):
     evidence_memory: float = 0.15  # s: how long evidence for cut tips is kept
     independent_after: float = 0.033  # s: frames closer in time see the same tips, and count in proportion
     certain: float = 8.0  # nats: the most that such evidence can weigh
-    sure: float = 5.0  # nats at which evidence decides, of a tip or of a direction: 1 decision in 150 may be wrong
+    sure: float = 5.0  # nats at which the look of a tip decides, or a remembered form: 1 in 150 may be wrong
     hold: float = 0.11  # s, for which an end is taken for hidden after something was seen to hide it
     still_missing: float = 0.5  # of what was hidden: an end is only taken for hidden if so much is missing
     gap_drift: float = 0.1  # of a bridged gap: by so much what is behind it may have moved into it
@@ -107,6 +107,7 @@ class ChainModel(MotionModel):
     far_along: float = 0.16  # of the length: no rope that is seen in part slides so far between two frames
     clear: float = 3.0  # times: how much nearer ends are to their own places than to each other's
     unseen: float = 15.0  # nats, for a piece where all was folded back
+    sure_direction: float = 4.0  # nats by which the other one has to be less likely; at 5, more ropes are lost
     uncovering: float = 2.0  # 1/s: how often an end goes out of sight or comes to light
 
     # Register: placements.

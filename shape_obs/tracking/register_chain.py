@@ -285,7 +285,7 @@ def _runs_back(
     for end in range(2):
         off += uncovered * ((was.occluded[end] != 0) != (ends[end] == HIDDEN))
         off_back += uncovered * ((was.occluded[end] != 0) != (ends[1 - end] == HIDDEN))
-    return off_back < off, abs(off - off_back) < model.sure
+    return off_back < off, abs(off - off_back) < model.sure_direction
 
 
 @compiled
