@@ -85,7 +85,8 @@ def centerline_masks() -> list[list[np.ndarray]]:
     refused = [random_blob(rng).mask, random_sheet(rng, 1.5, 20.0).mask, rng.integers(0, 2, (480, 640), np.uint8)]
     tracked = [rope.mask for rope in moving_rope(rng, 6, 20)]
     cut = [np.where(np.arange(640) < 620 - 10 * k, mask, 0).astype(np.uint8) for k, mask in enumerate(tracked)]
-    return [*hidden, *[[t.mask] for t in tangles], tracked, cut, [tracked[0][:, ::-1], tracked[1] > 0], refused]
+    lost = [tracked[0], *[np.zeros((480, 640), np.uint8)] * 40, tracked[0]]  # for longer than ``max_age``
+    return [*hidden, *[[t.mask] for t in tangles], tracked, cut, [tracked[0][:, ::-1], tracked[1] > 0], refused, lost]
 
 
 def contour_masks() -> list[list[np.ndarray]]:
