@@ -29,8 +29,7 @@ class Traced(NamedTuple):
         outlines: ``(P, 2)`` image pixels, closed, 8-connected: the outlines of all components, end to end.
         stops: ``(Q,)`` where each outline ends.
         areas: ``(Q,)`` pixels of each component, without its holes.
-        perimeters: ``(Q,)`` length of each outline, pixels.
-        widths: ``(Q,)`` of the ribbons of these areas and perimeters, pixels.
+        widths: ``(Q,)`` of the ribbons of these areas and outlines, pixels.
         holes: ``(H, 6)`` of each hole: its component, column and row of the first pixel of its border in the image,
             pixels of the border, its length, and the area that it encloses.
     """
@@ -38,7 +37,6 @@ class Traced(NamedTuple):
     outlines: Array
     stops: Indices
     areas: Indices
-    perimeters: Array
     widths: Array
     holes: Array
 
@@ -68,25 +66,25 @@ def trace_components(mask: Mask, runs: Indices, pieces: int, left: int, top: int
     if pieces > 1:
         label, _ = label_runs(runs)
     outlines, count, found = np.empty((1024, 2)), 0, 0
-    stops, areas, perimeters = np.empty(pieces, np.int64), np.zeros(pieces, np.int64), np.empty(pieces)
+    stops, areas, around = np.empty(pieces, np.int64), np.zeros(pieces, np.int64), np.empty(pieces)  # (Q,)
     for at in range(len(runs)):
         if label[at] == found:
             outlines, count, length, _ = _follow(
                 mask, runs[at, 1] - left, runs[at, 0] - top, _OUTER, left, top, outlines, count
             )
-            stops[found], perimeters[found] = count, length
+            stops[found], around[found] = count, length
             found += 1
         areas[label[at]] += runs[at, 2] - runs[at, 1]
     holes = np.empty((0, 6))
     if _touching(runs) > len(runs) - pieces:
         holes = _holes(mask, runs, label, left, top)
-    around, widths = perimeters.copy(), np.empty(pieces)
+    widths = np.empty(pieces)
     for h in range(len(holes)):
         around[int(holes[h, 0])] += holes[h, 4] if holes[h, 3] >= SPECK else 0.0
     for q in range(pieces):
         half = around[q] / 2 + 2
         widths[q] = max((half - math.sqrt(max(half * half - 4 * areas[q], 0.0))) / 2, 1.0)
-    return outlines[:count], stops, areas, perimeters, widths, holes
+    return outlines[:count], stops, areas, widths, holes
 
 
 @compiled("(u1[:,::1], i8, i8, i8, i8)")

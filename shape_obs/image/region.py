@@ -31,14 +31,12 @@ class Component(NamedTuple):
     Args:
         area: Pixels.
         outline: ``(P, 2)`` pixels, image coordinates, closed, 8-connected, through the centres of the border pixels.
-        perimeter: Length of the outline, pixels.
         holes: Length of the outlines of its holes, pixels; specks left out.
-        width: Of the ribbon of this area and perimeter, pixels.
+        width: Of the ribbon of this area and outline, pixels.
     """
 
     area: int
     outline: Array
-    perimeter: float
     holes: float
     width: float
 
@@ -92,11 +90,11 @@ class Region:
         return tuple(self._component(int(piece)) for piece in self._largest_first)
 
     def _component(self, piece: int) -> Component:
-        outlines, stops, areas, perimeters, widths, inner = self.traced
+        outlines, stops, areas, widths, inner = self.traced
         first, stop, holes = (stops.item(piece - 1) if piece else 0), stops.item(piece), 0.0
         if len(inner):
             holes = float(inner[(inner[:, 0] == piece) & (inner[:, 3] >= SPECK), 4].sum())
-        return Component(areas.item(piece), outlines[first:stop], perimeters.item(piece), holes, widths.item(piece))
+        return Component(areas.item(piece), outlines[first:stop], holes, widths.item(piece))
 
     @cached_property
     def largest(self) -> Component:

@@ -122,7 +122,7 @@ def cheapest_pairing(price: Array) -> tuple[Index, Array]:
         ends = np.array([end for end in range(root, count) if find_root(group, end) == root])
         if len(ends) > MOST:
             alone, dearer = np.diag(price), np.full((count, count), np.inf)  # than if both stay alone
-            alone = np.where(np.isinf(alone), 0.0, alone)
+            alone = np.where(np.isinf(alone), 0.0, alone)  # one that may not
             for i in ends:
                 for j in ends:
                     dearer[i, j] = price[i, j] - alone[i] - alone[j] * (i != j)
@@ -167,9 +167,9 @@ def _pair_in_turn(price: Array, partner: Index, margin: Array, far: Index) -> No
         price: ``(E, E)``, of an end that stays alone in the diagonal; overwritten.
         partner: ``(E,)``.
         margin: ``(E,)``, by how much each other choice of the two was dearer.
-        far: ``(E,)`` the other end of the piece of each, which it is not to be joined with; itself if it may be.
+        far: ``(E,)`` the other end of the chain of pieces of each, which it is not joined with; itself if it may be
+            joined with any; overwritten.
     """
-    far = far.copy()  # of the chain of pieces that an end is an end of
     while True:
         first, second = divmod(int(np.argmin(price)), len(price))
         least = price[first, second]

@@ -40,7 +40,7 @@ def trace_border(mask: Mask, runs: Indices, pieces: int, left: int, top: int, ho
         ``(P, 2)`` pixels through the centres of the border pixels, ``(0, 2)`` without such a hole; the component's
         width, pixels; the share of what its outer outline encloses that is not the component's own.
     """
-    outlines, stops, areas, _, widths, holes = trace_components(mask, runs, pieces, left, top)
+    outlines, stops, areas, widths, holes = trace_components(mask, runs, pieces, left, top)
     piece = int(np.argmax(areas))
     outer = outlines[stops[piece - 1] if piece > 0 else 0 : stops[piece]]
     hollow = 1 - areas[piece] / max(enclosed_by(outer), 1.0)

@@ -93,7 +93,7 @@ def visible_corners(
         if not cut[q]:
             places[count, 0], places[count, 1] = outline.points[q, 0], outline.points[q, 1]
             arcs[count], which[count], count = arc[q], q, count + 1
-    found, _ = assign_corners(expected, places[:count], arcs[:count], arc[AROUND], sides, tolerance, spread, model)
+    found = assign_corners(expected, places[:count], arcs[:count], arc[AROUND], sides, tolerance, spread, model)
     for k in range(4):
         found[k] = which[found[k]] if found[k] >= 0 else -1
     return found
@@ -102,7 +102,7 @@ def visible_corners(
 @compiled
 def assign_corners(
     expected: Array, places: Array, arcs: Array, whole: float, sides: Array, tolerance: Array, spread: float, model: Any
-) -> tuple[Indices, float]:
+) -> Indices:
     """Return which of the places where an outline turns are the corners of a sheet; -1 for one that is hidden.
 
     Args:
@@ -116,7 +116,7 @@ def assign_corners(
         model: The constants, one ``LatticeModel``.
 
     Returns:
-        ``(4,)`` indices, at least two of them places; and the cost. All -1 if no choice is possible.
+        ``(4,)`` indices, at least two of them places; all -1 if no choice is possible.
     """
     count, centre, reach = len(places), complex(0, 0), 0.0
     at, to = np.empty(4, np.complex128), np.empty(max(count, 1), np.complex128)
@@ -152,7 +152,7 @@ def assign_corners(
             least = cost
             for k in range(4):
                 best[k] = chosen[k]
-    return best, least
+    return best
 
 
 @compiled

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from shape_obs.image.connected_runs import find_components, gather_cells
 from shape_obs.image.find_region import find_region
-from shape_obs.image.outline_tracing import Traced, trace_components, trace_hole
+from shape_obs.image.outline_tracing import SPECK, Traced, trace_components, trace_hole
 from shape_obs.image.roi import Window
 from shape_obs.image.sharing import Reach, part_of, share
 
@@ -107,10 +107,21 @@ def test_outlines_are_those_of_opencv():
         assert len(found.stops) == len(areas) == len(outlines)
         np.testing.assert_array_equal(found.areas, areas)
         pieces = np.split(found.outlines, found.stops[:-1]) if len(areas) else []
-        for outline, length in zip(pieces, found.perimeters, strict=True):
-            expected = outlines[tuple(outline[0].astype(int).tolist())]
-            np.testing.assert_array_equal(outline, expected)
-            assert length == pytest.approx(cv2.arcLength(expected.astype(np.float32), closed=True), rel=1e-5)
+        for outline in pieces:
+            np.testing.assert_array_equal(outline, outlines[tuple(outline[0].astype(int).tolist())])
+
+
+def test_a_component_is_as_wide_as_the_ribbon_of_its_area_and_outline():
+    for mask in masks(100):
+        _, areas, found = traced(mask)
+        outlines, holes, owners = contours(mask)
+        pieces = np.split(found.outlines, found.stops[:-1]) if len(areas) else []
+        for outline, area, width in zip(pieces, areas, found.widths, strict=True):
+            first = tuple(outline[0].astype(int).tolist())
+            inner = [hole for start, hole in holes.items() if owners[start] == first and len(hole) >= SPECK]
+            around = sum(cv2.arcLength(each.astype(np.float32), closed=True) for each in (outlines[first], *inner))
+            half = around / 2 + 2
+            assert width == pytest.approx(max((half - max(half**2 - 4 * area, 0) ** 0.5) / 2, 1), rel=1e-4)
 
 
 def test_holes_are_those_of_opencv():

@@ -218,7 +218,7 @@ def test_a_rope_behind_a_fence_is_one_rope_and_two_are_two(bars):
     assert found.ok
     np.testing.assert_allclose(found.pixels[:, 1], 240 + 20 * np.sin(found.pixels[:, 0] / 90), atol=3)
     assert abs(np.ptp(found.pixels[:, 0]) - 552) < 8  # the pen is round
-    if bars < 10:  # pieces of many more are too short to be told from those of other ropes
+    if bars < 10:  # behind more, pieces are too short to be told apart
         several = ShapeDetector([Centerline(n=60, count="all", ends="tips")]).detect_mask(two)
         assert [shape.ok for shape in several] == [True, True]
         assert all(abs(np.ptp(shape.pixels[:, 0]) - 552) < 8 for shape in several)
