@@ -31,11 +31,11 @@ from shape_obs.point_cloud.lifting import leave_out_overlaid
 from shape_obs.tracking.judge_chain import is_unclear, reason_of
 from shape_obs.tracking.memory import evidence_of_order
 from shape_obs.tracking.model import ChainModel
-from shape_obs.tracking.predict import NO_NODES, Fit, Prediction, Track, reversed_rope
+from shape_obs.tracking.predict import NO_NODES, Fit, Prediction, Track, known_before, reversed_rope
 from shape_obs.tracking.register_chain import direction
-from shape_obs.tracking.scene import Scene
+from shape_obs.tracking.scene import NO_MASK, Scene
 from shape_obs.tracking.state import new_rope
-from shape_obs.tracking.step import NO_CLOUD, NO_MASK, InCloud, RopeBefore, step_chain, visible_nodes
+from shape_obs.tracking.step import NO_CLOUD, InCloud, step_chain, visible_nodes
 from shape_obs.tracking.validation import sample_spread
 from shape_obs.utils.lengths import warn_unless_metres
 
@@ -157,24 +157,21 @@ class Centerline(Configuration, kind="centerline"):
             prediction: What is known of it.
             scene: The frame.
         """
-        image, cloud, area = NO_MASK, NO_CLOUD, observed.area
+        image, cloud, wide = NO_MASK, NO_CLOUD, 0.0
         if isinstance(observed, Region):
-            edge = (scene.edge or observed.window)[:4]
-            image = (
-                observed.runs, observed.mask, observed.window[:4], observed.box[:4], edge, scene.images, scene.lens,
-            )  # fmt: skip
+            image, wide = scene.in_mask(observed), float(width)
         else:
             start, cloud = self._fit_cloud(cast("Cloud", observed), start, prediction)
             width = cloud[3]
+        new = new_rope(self.model, self.length or 0.0)
+        before = known_before(prediction, new, observed.dimension, scene.clock.now)
         stepped = step_chain(
-            image, cloud, area, start, float(width) if observed.dimension == 2 else 0.0, off, self.spacing == "m",
-            self._before(prediction, observed.dimension, scene), self.model.record,
-        )  # fmt: skip
+            image, cloud, observed.area, start, wide, off, self.spacing == "m", before, self.model.record
+        )
         state, nodes, velocity, deep, depth_rate, points, flags, arc, metres, pixels, log_depth = stepped
         first, past = state["shown"][0].tolist()
         curve = FittedCurve(
-            points, flags, arc, False, metres, pixels, log_depth, width if observed.dimension == 2 else 0.0,
-            shown=(first, past),
+            points, flags, arc, False, metres, pixels, log_depth, wide, shown=(first, past),
         )  # fmt: skip
         topology = prediction.track.topology if prediction is not None else Chain(len(nodes))
         track = Track(state, nodes, velocity, topology, deep, depth_rate)
@@ -195,15 +192,6 @@ class Centerline(Configuration, kind="centerline"):
         spread = sample_spread(np.ascontiguousarray(samples.points), np.ascontiguousarray(samples.weight), curve)
         spread += cloud.hidden_variance
         return start, (curve, ~cloud.carries(curve), spread, cloud.ribbon_width, cloud.resolution)
-
-    def _before(self, prediction: Prediction | None, dimension: int, scene: Scene) -> RopeBefore:
-        """Return the track before a frame, as ``step_chain`` takes it."""
-        if prediction is None:
-            nodes = np.empty((0, dimension))
-            state = new_rope(self.model, self.length or 0.0)
-            return state, nodes, nodes, NO_VALUES, NO_VALUES, scene.clock.now, False, math.inf
-        track, now, _, lost, reach = prediction
-        return track.state, track.nodes, track.velocity, track.log_depth, track.depth_rate, now, lost, reach
 
     def apply_index_order(self, form: FittedCurve, seen: Array, target: Array | None) -> FittedCurve:
         """Return the curve with point 0 at the end nearest the target, else nearest the top left."""

@@ -30,17 +30,9 @@ from shape_obs.tracking.measure_ring import MIN_SAMPLES, fit_ring_in_cloud, node
 from shape_obs.tracking.model import RingModel
 from shape_obs.tracking.predict import Fit, Prediction, Track, known_before
 from shape_obs.tracking.register_ring import first_place
-from shape_obs.tracking.scene import Scene
-from shape_obs.tracking.step_ring import (
-    FOUND,
-    NO_CLOUD,
-    NO_HOLE,
-    NO_MASK,
-    NOT_HOLLOW,
-    TOO_SMALL,
-    InCloud,
-    step_ring,
-)
+from shape_obs.tracking.scene import NO_MASK, Scene
+from shape_obs.tracking.state import ShapeState
+from shape_obs.tracking.step_ring import FOUND, NO_CLOUD, NO_HOLE, NOT_HOLLOW, TOO_SMALL, InCloud, step_ring
 from shape_obs.tracking.validation import validate_outline
 
 if TYPE_CHECKING:
@@ -83,11 +75,10 @@ class Contour(Configuration, kind="contour"):
 
     def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Fit a ring of nodes to this frame's own outline; number it as the track does, or by the paper's rule."""
-        before = known_before(prediction, observed.dimension, scene.clock.now)
+        before = known_before(prediction, np.zeros(1, ShapeState), observed.dimension, scene.clock.now)
         image, cloud = NO_MASK, NO_CLOUD
         if isinstance(observed, Region):
-            own, around = scene.around(observed)
-            image = *own, *around, observed.box[:4]
+            image = scene.in_mask(observed)
         else:
             why, cloud = self._fit_cloud(cast("Cloud", observed), prediction, target)
             if why != FOUND:

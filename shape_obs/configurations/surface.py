@@ -2,47 +2,41 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.clustering.som import batch_epochs
 from shape_obs.configurations.base import Configuration, Ends, Points
-from shape_obs.configurations.sheet_map import moved_inside
 from shape_obs.geometry.coons import FINE
 from shape_obs.geometry.curve import NO_VALUES
 from shape_obs.geometry.lattice import FittedLattice, lattice_gauges, sample_lattice, uneven_places
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.outline import material_outline
 from shape_obs.geometry.polyline import arc_length, interpolate
-from shape_obs.geometry.topology import Grid, undo_shrinkage
-from shape_obs.image.connected_runs import gather_cells
+from shape_obs.geometry.topology import Grid
 from shape_obs.image.region import Region
-from shape_obs.tracking.isometry import Isometry, isometry_in_image, isometry_in_space
-from shape_obs.tracking.measure_lattice import patch_in_cloud
+from shape_obs.tracking.isometry import folded_reason
+from shape_obs.tracking.measure_lattice import even_inside, patch_in_cloud
 from shape_obs.tracking.model import LatticeModel
-from shape_obs.tracking.predict import (
-    NO_BOX,
-    Fit,
-    Prediction,
-    ShapeBefore,
-    Track,
-    known_before,
-    turned_sheet,
-)
-from shape_obs.tracking.scene import Scene
-from shape_obs.tracking.step_lattice import advance_sheet, register_in_cloud, step_sheet
-from shape_obs.tracking.validation import NO_CORNERS, NO_FAULT, judge_sheet, sheet_fault
+from shape_obs.tracking.predict import Before, Fit, Prediction, Track, known_before
+from shape_obs.tracking.register_lattice import first_corner
+from shape_obs.tracking.scene import NO_MASK, InMask, Scene
+from shape_obs.tracking.state import ShapeState
+from shape_obs.tracking.step_lattice import NO_CLOUD, InCloud, SheetStep, step_sheet
+from shape_obs.tracking.validation import NO_CORNERS, NO_FAULT, sheet_fault
+
+if TYPE_CHECKING:
+    from shape_obs.point_cloud.cloud import Cloud
 
 Array = npt.NDArray[np.float64]
 
 _GRID: Final = Grid(FINE, FINE)  # the nodes that are kept from frame to frame, for any lattice that is sampled
 _COMPILED: Final = (
-    step_sheet, advance_sheet, patch_in_cloud, register_in_cloud, judge_sheet, isometry_in_image,
-    isometry_in_space, lattice_gauges, sample_lattice, uneven_places, arc_length, interpolate, material_outline,
+    step_sheet, patch_in_cloud, first_corner, lattice_gauges, sample_lattice, uneven_places, arc_length, interpolate,
+    material_outline,
 )  # fmt: skip
 
 
@@ -89,92 +83,49 @@ class Surface(Configuration, kind="surface"):
 
     def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Lay a Coons patch between the predicted corners; put back what is hidden; else take the best four corners."""
-        before = known_before(prediction, observed.dimension, scene.clock.now)
+        before = known_before(prediction, np.zeros(1, ShapeState), observed.dimension, scene.clock.now)
         if isinstance(observed, Region):
-            found = self._fit_in_image(observed, before, scene)
+            found = self._step(scene.in_mask(observed), NO_CLOUD, target, before)
+            reason = self._rejection_reason(observed, found.width, prediction is not None)
         else:
-            found = self._fit_in_cloud(observed, prediction, before)
-        if found.track is None:
-            return found
-        form, track = found.form, found.track
-        if prediction is None:
-            quarters = self._quarters(form, observed.seen(form.points, target), target)
-            form, track = form.turned(quarters), turned_sheet(track, quarters)
-        box, model = observed.box[:4] if observed.box else NO_BOX, self.model.record
-        velocity = advance_sheet(track.state, form.points, form.size, found.object_width, box, before, model)
-        found = found._replace(form=form, track=track._replace(nodes=form.points, velocity=velocity))
-        return self._judge_isometry(found, observed, before, scene)
-
-    def _fit_in_image(self, region: Region, before: ShapeBefore, scene: Scene) -> Fit:
-        """Fit a sheet in a mask, in one compiled call."""
-        own, around = scene.around(region)
-        fault, quality, lattice, hidden, state, known, down, right, width = step_sheet(
-            *own, *around, (self.rows, self.cols), self.freedom, before, self.model.record
-        )
-        reason = self._rejection_reason(region, width, len(before[1]) > 0) or sheet_fault(fault, Region.noun)
-        if reason:
+            reason, found = self._rejection_reason(observed, observed.width, prediction is not None), None
+            if not reason:
+                found = self._step_in_cloud(cast("Cloud", observed), prediction, target, before, scene)
+                reason = sheet_fault((NO_CORNERS, 0, 0.0, 0.0), observed.noun) if found is None else ""
+        if reason or found is None or (reason := sheet_fault(found.fault, observed.noun)):
             return Fit(reason=reason)
-        form = self._evened(FittedLattice(lattice, hidden, (down, right), FINE), region)
-        return Fit(form, quality, "", Track(state, lattice, lattice, _GRID, reference=known), region, width)
+        folded = "" if found.flat else folded_reason(found.folded)
+        gauges = found.down, found.right
+        form = FittedLattice(found.nodes, found.hidden, gauges, FINE, off=found.off, ambiguity=folded)
+        track = Track(found.state, found.nodes, found.velocity, _GRID, reference=found.reference)
+        return Fit(form, found.quality, folded if prediction is None else "", track, observed, found.width)
 
-    def _evened(self, form: FittedLattice, observed: Observed) -> FittedLattice:
-        """Return a lattice, its inside moved with the map where there are ``epochs`` of it."""
-        return form.with_points(form.points + moved_inside(form, observed, self.epochs)) if self.epochs else form
+    def _step(self, image: InMask, cloud: InCloud, target: Array | None, before: Before) -> SheetStep:
+        """Follow the sheet into this frame, in one compiled call."""
+        target, size = NO_VALUES if target is None else target, (self.rows, self.cols)
+        return step_sheet(image, cloud, size, self.freedom, self.epochs, target, before, self.model.record)
 
-    def _fit_in_cloud(self, observed: Observed, prediction: Prediction | None, before: ShapeBefore) -> Fit:
-        """Lay the patch over a sheet that is unrolled: between the corners nearest to those predicted, or the best."""
-        reason = self._rejection_reason(observed, observed.width, prediction is not None)
-        if reason:
-            return Fit(reason=reason)
+    def _step_in_cloud(
+        self, cloud: Cloud, prediction: Prediction | None, target: Array | None, before: Before, scene: Scene
+    ) -> SheetStep | None:
+        """Follow a sheet that is unrolled: its corners are nearest to those predicted, or else the best, if any."""
         nodes = np.empty((0, 3)) if prediction is None else prediction.nodes
-        outline, flat = (np.ascontiguousarray(each, dtype=np.float64) for each in observed.sheet_outline())
-        fault = NO_CORNERS, 0, 0.0, 0.0
-        for best in (False, True) if len(nodes) else (True,):
+        outline, flat = (np.ascontiguousarray(each, dtype=np.float64) for each in cloud.sheet_outline())
+        region, samples, found = cloud.parts[-1], cloud.samples, None
+        image = scene.in_mask(region) if isinstance(region, Region) else NO_MASK  # that it was seen in
+        for best in (False, True) if prediction is not None else (True,):
             patch, kink, measures = patch_in_cloud(outline, flat, nodes, best)
-            fault = NO_CORNERS, 0, 0.0, 0.0
+            found = None
             if not len(patch):
                 continue
-            form = FittedLattice.over(observed.to_space(patch), np.zeros(len(patch), bool), FINE)
-            form = self._evened(form, observed)
-            quarters, state, code, side = register_in_cloud(
-                np.ascontiguousarray(form.points), observed.resolution, nodes, before, self.model.record
-            )
-            form = form.turned(quarters)
-            form = replace(form, interpolated=~observed.carries(form.points))
-            off = float(form.interpolated.mean())
-            fault, quality = judge_sheet(off, measures, kink, 0, 0.0, self.freedom, self.model.record)
-            fault = fault if code == NO_FAULT else (code, side, 0.0, 0.0)
-            if fault[0] == NO_FAULT:
-                track = Track(state, form.points, form.points, _GRID)
-                return Fit(form, quality, "", track, observed)
-        return Fit(reason=sheet_fault(fault, observed.noun))
-
-    def _judge_isometry(self, found: Fit, observed: Observed, before: ShapeBefore, scene: Scene) -> Fit:
-        """Mark what is folded or crumpled, a sheet or single nodes, as uncertain: it teaches no side lengths.
-
-        A new sheet is refused.
-        """
-        form, (rows, cols), camera, model = found.form, (self.rows, self.cols), scene.intrinsics, self.model
-        if camera is not None and scene.depth is not None:
-            lattice = form.points if observed.dimension == 2 else camera.project(form.points)
-            region = observed.parts[-1]  # of a cloud too: the mask that it was seen in
-            seen = lattice, form.interpolated, scene.images, region.mask, region.window[:2]
-            isometry = Isometry(*isometry_in_image(*seen, camera.lens, rows, cols, model.record))
-        elif observed.dimension == 3:
-            isometry = Isometry(*isometry_in_space(np.ascontiguousarray(form.points), rows, cols, model.record))
-        else:
-            return found
-        uncertain, share = isometry.verdict(model)
-        flags = form.interpolated | (isometry.off > model.uncertain * isometry.gap)
-        form = replace(form, interpolated=flags, off=isometry.off, ambiguity=uncertain)
-        found = found._replace(form=form, quality=found.quality * share)
-        if not uncertain:
-            return found
-        state, last = before[:2]
-        if not len(last):
-            return found._replace(reason=uncertain)
-        assert found.track is not None
-        found.track.state["sides"] = state["sides"]
+            lattice = np.ascontiguousarray(cloud.to_space(patch), dtype=np.float64)
+            if self.epochs:
+                lattice = even_inside(lattice, samples.points, samples.weight, self.epochs)
+            seen = np.ascontiguousarray(cloud.seen(lattice, target), dtype=np.float64)
+            measured = lattice, cloud.carries(lattice), seen, kink, measures, cloud.resolution
+            found = self._step(image, measured, target, before)
+            if found.fault[0] == NO_FAULT:
+                break
         return found
 
     def _rejection_reason(self, observed: Observed, width: float, tracked: bool) -> str:
@@ -197,18 +148,8 @@ class Surface(Configuration, kind="surface"):
 
     def apply_index_order(self, form: FittedLattice, seen: Array, target: Array | None) -> FittedLattice:
         """Return the lattice with its first corner nearest the target; else rows run right and columns down."""
-        return form.turned(self._quarters(form, seen, target))
-
-    def _quarters(self, form: FittedLattice, seen: Array, target: Array | None) -> int:
-        """Return how many corners further on, clockwise, the paper's rule puts the first corner of a lattice."""
-        flat = form.with_points(seen)
-        if target is not None:
-            return int(np.argmin(np.sum((flat.corners - target) ** 2, axis=1)))
-        lattice = flat.lattice
-        right, down = (lattice[:, -1] - lattice[:, 0]).mean(axis=0), (lattice[-1] - lattice[0]).mean(axis=0)
-        right, down = (way / max(float(np.linalg.norm(way)), 1e-9) for way in (right, down))
-        level, upright = right[0] + down[1], down[0] - right[1]
-        return int(np.argmax([level, upright, -level, -upright]))
+        seen = np.ascontiguousarray(seen, dtype=np.float64)
+        return form.turned(first_corner(seen, NO_VALUES if target is None else target))
 
     def resample(self, form: FittedLattice, metric: FittedLattice) -> Points:
         """Return points with equal gaps down and across, on the mean over the lattice."""
@@ -221,11 +162,10 @@ class Surface(Configuration, kind="surface"):
             hidden = sample_lattice(share, *where)[:, 0] > 0.5
         if lattice.shape[2] == 3 and form.points.shape[1] == 2:
             hidden |= uneven_places(sample_lattice(lattice, *where).reshape(self.rows, self.cols, 3))
-        off = NO_VALUES if form.off is None else sample_lattice(form.off.reshape(form.rows, -1, 1), *where)[:, 0]
+        off = sample_lattice(form.off.reshape(form.rows, -1, 1), *where)[:, 0] if len(form.off) else NO_VALUES
         return Points(places, hidden, off=off)
 
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        maps = (batch_epochs, gather_cells, undo_shrinkage) if self.epochs else ()
-        return _COMPILED + maps
+        return (*_COMPILED, even_inside) if self.epochs else _COMPILED

@@ -168,6 +168,27 @@ def _side(outline: Array, begin: int, end: int, skip: int, places: Array, k: int
 
 
 @compiled
+def corners_of(nodes: Array) -> Array:
+    """Return ``(4, D)`` the corners of a lattice ``(625, D)``, clockwise."""
+    corners = np.empty((4, nodes.shape[1]))
+    for k in range(4):
+        for d in range(nodes.shape[1]):
+            corners[k, d] = nodes[(0, FINE - 1, FINE * FINE - 1, FINE * (FINE - 1))[k], d]
+    return corners
+
+
+@compiled
+def turned_places(quarters: int) -> Indices:
+    """Return ``(625,)`` the nodes of a lattice, row by row, that begins ``quarters`` corners further on, clockwise."""
+    places = np.arange(FINE * FINE)
+    for _ in range(quarters):
+        before = places.copy()
+        for p in range(len(places)):
+            places[p] = before[p % FINE * FINE + FINE - 1 - p // FINE]
+    return places
+
+
+@compiled
 def border_of(lattice: Array) -> Array:
     """Return the border of a lattice of 25 rows and columns, ``(625, D)``, clockwise from its first corner."""
     out = np.empty((4 * SIDE, lattice.shape[1]))

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.curve import FittedForm
+from shape_obs.geometry.curve import NO_VALUES, FittedForm
 from shape_obs.geometry.polyline import even_points, straightened
 
 if TYPE_CHECKING:
@@ -32,12 +32,12 @@ class FittedLattice(FittedForm):
     Args:
         gauges: How far down each row lies, ``(rows,)``, and how far right each column, ``(cols,)``: summed mean gaps.
         rows: How many rows, from the sheet's top to its bottom; the columns follow, from left to right.
-        off: ``(P,)`` metres by which points may be off their material, see ``Isometry``; None if nothing shows it.
+        off: ``(P,)`` metres by which points may be off their material, see ``isometry``; ``(0,)`` if nothing shows it.
     """
 
     gauges: tuple[Array, Array]
     rows: int
-    off: Array | None = field(default=None, kw_only=True)
+    off: Array = field(default_factory=lambda: NO_VALUES, kw_only=True)
 
     @classmethod
     def over(cls, points: Array, interpolated: Mask, rows: int, **other: Any) -> Self:
@@ -60,16 +60,6 @@ class FittedLattice(FittedForm):
         """``(4, D)`` top left, top right, bottom right, bottom left."""
         return self.lattice[[0, 0, -1, -1], [0, -1, -1, 0]]
 
-    def evenly(self, rows: int, cols: int, *, centers: bool) -> Array:
-        """Return ``(rows*cols, D)`` points with equal gaps down and across, on the mean over the lattice.
-
-        Args:
-            rows: How many.
-            cols: How many.
-            centers: Whether they are the centres of equal pieces; else the outer ones lie on the border.
-        """
-        return sample_lattice(self.lattice, *self.gauges, rows, cols, centers)
-
     def turned(self, quarters: int) -> Self:
         """Return the same lattice with its first corner ``quarters`` corners further on, clockwise."""
         if quarters == 0:
@@ -78,7 +68,7 @@ class FittedLattice(FittedForm):
         flags = np.rot90(self.interpolated.reshape(self.rows, -1), quarters).ravel()
         points = np.ascontiguousarray(lattice).reshape(self.points.shape)
         gauges = _gauges(points, len(lattice))
-        off = None if self.off is None else np.rot90(self.off.reshape(self.rows, -1), quarters).ravel()
+        off = np.rot90(self.off.reshape(self.rows, -1), quarters).ravel() if len(self.off) else self.off
         return replace(self, points=points, interpolated=flags, gauges=gauges, rows=len(lattice), off=off)
 
     def smoothed(self, values: Array, known: Mask) -> Array:

@@ -130,16 +130,8 @@ class Grid(Topology):
 
     def unshrink(self, nodes: Array, sigma: float) -> Array:
         """Undo the pull as along a chain, down every column and along every row."""
-        lattice = nodes.reshape(self.rows, self.cols, -1)
-        out = lattice.copy()
-        if self.rows > 2:
-            down = lattice.reshape(self.rows, -1)
-            out += (undo_shrinkage(down, shrinkage(sigma), False) - down).reshape(lattice.shape)
-        if self.cols > 2:
-            across = np.ascontiguousarray(lattice.swapaxes(0, 1)).reshape(self.cols, -1)
-            moved = (undo_shrinkage(across, shrinkage(sigma), False) - across).reshape(self.cols, self.rows, -1)
-            out += moved.swapaxes(0, 1)
-        return out.reshape(nodes.shape)
+        lattice = np.ascontiguousarray(self.lattice(nodes), dtype=np.float64)
+        return undo_lattice_shrinkage(lattice, shrinkage(sigma)).reshape(nodes.shape)
 
     def interpolate(self, values: Values, known: npt.NDArray[np.bool_]) -> Values:
         """Interpolate smoothly over the lattice: each unknown value is the mean of its neighbours'."""
@@ -217,6 +209,19 @@ def undo_shrinkage(nodes: Array, share: float, closed: bool) -> Array:
         for d in range(dimension):
             bend = nodes[(at + 1) % size, d] - 2 * nodes[at, d] + nodes[at - 1, d]
             out[k, d] = nodes[k, d] - by * bend
+    return out
+
+
+@compiled("(f8[:,:,::1], f8)")
+def undo_lattice_shrinkage(lattice: Array, share: float) -> Array:
+    """Move the nodes of a lattice ``(R, C, D)`` as ``undo_shrinkage`` does those of its columns and of its rows."""
+    rows, cols, _ = lattice.shape
+    out = lattice.copy()
+    for c in range(cols if rows > 2 else 0):
+        line = np.ascontiguousarray(lattice[:, c])
+        out[:, c] += undo_shrinkage(line, share, False) - line
+    for r in range(rows if cols > 2 else 0):
+        out[r] += undo_shrinkage(lattice[r], share, False) - lattice[r]
     return out
 
 

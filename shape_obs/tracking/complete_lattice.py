@@ -22,7 +22,7 @@ from shape_obs.image.connected_runs import nearest_pixel
 from shape_obs.image.over_under import depth_at
 from shape_obs.initialization.corners import nearest_of
 from shape_obs.point_cloud.local_depth import bridged, median_depth
-from shape_obs.tracking.predict import Box
+from shape_obs.tracking.scene import Box
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]

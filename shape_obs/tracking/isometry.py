@@ -9,17 +9,16 @@ where the sheet goes on beneath itself, its surface turns away from the camera b
 from __future__ import annotations
 
 import math
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.camera import viewing_rays
+from shape_obs.camera import projected, viewing_rays
 from shape_obs.compiled import compiled
-from shape_obs.frame import DEPTH_TYPE, FARTHEST, MILLIMETRE, DepthImages
+from shape_obs.frame import FARTHEST, MILLIMETRE, DepthImages
 from shape_obs.geometry.coons import FINE
 from shape_obs.image.connected_runs import nearest_pixel
-from shape_obs.tracking.model import LatticeConstants, LatticeModel, Model  # noqa: F401 - the first in a signature
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -31,43 +30,70 @@ _LAST: Final = FINE - 1  # of the nodes of a line
 _SAMPLES: Final = 6  # of depth from a node of a line to the next, at most
 
 
-class Isometry(NamedTuple):
-    """What the depth under a lattice shows.
+#: By which share of the median the shortest row or column is shorter along the surface, and the longest longer; over
+#: which share of the rows, or of the columns, depth steps within the sheet; over which share of a side the surface
+#: turns away from the camera.
+Measures = tuple[float, float, float, float]
+#: ``(625,)`` metres by which a node may be off its material, 0 for less than a tenth of a gap, ``(0,)`` if nothing
+#: shows that; metres between two points of the shape; what shows that it is folded.
+Isometry = tuple[Array, float, Measures]
+
+
+@compiled
+def isometry(
+    lattice: Array, hidden: Flags, depth: DepthImages, mask: Mask, at: Place, lens: Array, rows: int, cols: int,
+    model: Any,
+) -> Isometry:  # fmt: skip
+    """Return what shows whether a sheet is spread out: depth under its lattice, or the lattice itself in a cloud.
 
     Args:
-        off: ``(625,)`` metres by which a node may be off its material, 0 for less than a tenth of a gap.
-        gap: Between two points of the shape, metres.
-        short: By which share of the median the shortest row or column is shorter along the surface.
-        long: The same of the longest.
-        torn: Over which share of the rows, or of the columns, depth steps within the sheet.
-        turned: Over which share of a side the surface turns away from the camera.
+        lattice: ``(625, D)`` pixels or metres, row by row.
+        hidden: ``(625,)`` nodes whose depth is not their own.
+        depth: The frame's, see ``frame.depth_images``.
+        mask: The sheet's.
+        at: Image column and row of its first pixel.
+        lens: The projection, see ``Intrinsics.lens``.
+        rows: Of the shape.
+        cols: The same.
+        model: The constants, one ``LatticeModel``.
     """
-
-    off: Array
-    gap: float
-    short: float
-    long: float
-    torn: float = 0.0
-    turned: float = 0.0
-
-    def verdict(self, model: LatticeModel) -> tuple[str, float]:
-        """Return why the sheet is not spread out, empty if it is, and how far that may be believed, 0...1."""
-        measured, believed = (self.short, self.long, self.torn, self.turned), 1.0
-        limits = (model.row_noise, model.max_short), (model.row_noise, model.max_long), model.torn, model.turned
-        for share, (ideal, most) in zip(measured, limits, strict=True):
-            believed *= min(max((most - share) / (most - ideal), 0.0), 1.0)
-        if believed**0.5 >= model.min_flat:
-            return "", believed**0.5
-        return (
-            f"a part of the sheet lies over or beneath another: its rows or columns are {-self.short:.0%} to "
-            f"{self.long:+.0%} of their usual length along the surface, depth steps within {self.torn:.0%} of them, "
-            f"and {self.turned:.0%} of a side turns away from the camera"
-        ), 0.0
+    if len(lens) > 0 and len(depth[0]) + len(depth[1]) > 0:
+        places = projected(lattice, lens) if lattice.shape[1] == 3 else lattice
+        if len(places) > 0:
+            return _in_image(places, hidden, depth, mask, at, lens, rows, cols, model)
+    if lattice.shape[1] == 3:
+        return _in_space(lattice, rows, cols, model)
+    return lens[:0], np.inf, (0.0, 0.0, 0.0, 0.0)
 
 
-@compiled("(f8[:,::1], i8, i8, LatticeConstants[::1])")
-def isometry_in_space(space: Array, rows: int, cols: int, model: Model) -> tuple[Array, float, float, float]:
-    """Return the first four fields of ``Isometry``.
+@compiled
+def flatness(measures: Measures, model: Any) -> float:
+    """Return how far it may be believed that a sheet is spread out, 0...1; 0 if it is refused."""
+    short, long, torn, turned = measures
+    believed = _left(short, model.row_noise, model.max_short) * _left(long, model.row_noise, model.max_long)
+    believed = believed * _left(torn, model.torn[0], model.torn[1]) * _left(turned, model.turned[0], model.turned[1])
+    return math.sqrt(believed) if math.sqrt(believed) >= model.min_flat else 0.0
+
+
+@compiled
+def _left(share: float, ideal: float, most: float) -> float:
+    """Return how much is left, 0...1, of the room between an ideal share and the most that is allowed."""
+    return min(max((most - share) / (most - ideal), 0.0), 1.0)
+
+
+def folded_reason(measures: Measures) -> str:
+    """Return in words why a sheet is not spread out."""
+    short, long, torn, turned = measures
+    return (
+        f"a part of the sheet lies over or beneath another: its rows or columns are {-short:.0%} to {long:+.0%} of "
+        f"their usual length along the surface, depth steps within {torn:.0%} of them, and {turned:.0%} of a side "
+        "turns away from the camera"
+    )
+
+
+@compiled
+def _in_space(space: Array, rows: int, cols: int, model: Any) -> Isometry:
+    """Return the isometry of a lattice in space, but for what only an image shows.
 
     Let w be the way along the surface from the begin of a row to node k of n, W' the row's whole length, and W the
     median of all rows. In the material no node lies farther from a side than the way to that side is long, so that node
@@ -82,10 +108,10 @@ def isometry_in_space(space: Array, rows: int, cols: int, model: Model) -> tuple
         space: ``(625, 3)`` metres; NaN for nodes without depth.
         rows: Of the shape.
         cols: The same.
-        model: ``(1,)`` the constants.
+        model: The constants, one ``LatticeModel``.
     """
     off, gap, short, long = np.zeros((FINE, FINE)), np.inf, 0.0, 0.0
-    noise = model[0].row_noise
+    noise = model.row_noise
     for down in range(2):
         ways, lengths = np.full((FINE, FINE), np.nan), np.full(FINE, np.nan)
         for i in range(1, _LAST):
@@ -117,31 +143,19 @@ def isometry_in_space(space: Array, rows: int, cols: int, model: Model) -> tuple
     out = np.empty(FINE * FINE)
     for p in range(len(out)):
         square = off[min(max(p // FINE, 1), _LAST - 1), min(max(p % FINE, 1), _LAST - 1)]
-        out[p] = max(math.sqrt(square) - model[0].node_noise * gap, 0.0)
-    return out, gap, short, long
+        out[p] = max(math.sqrt(square) - model.node_noise * gap, 0.0)
+    return out, gap, (short, long, 0.0, 0.0)
 
 
-@compiled(
-    "(f8[:,::1], b1[::1], " + DEPTH_TYPE + ", u1[:,::1], UniTuple(i8, 2), f8[::1], i8, i8, LatticeConstants[::1])"
-)
-def isometry_in_image(
+@compiled
+def _in_image(
     lattice: Array, hidden: Flags, depth: DepthImages, mask: Mask, at: Place, lens: Array, rows: int, cols: int,
-    model: Model,
-) -> tuple[Array, float, float, float, float, float]:  # fmt: skip
-    """Return the fields of ``Isometry``; steps are looked for along every other line of the lattice.
+    model: Any,
+) -> Isometry:  # fmt: skip
+    """Return the isometry of a lattice in an image; steps are looked for along every other line of it.
 
-    Args:
-        lattice: ``(625, 2)`` pixels, row by row.
-        hidden: ``(625,)`` nodes whose depth is not their own.
-        depth: The frame's, see ``frame.depth_images``.
-        mask: The sheet's.
-        at: Image column and row of its first pixel.
-        lens: The projection, see ``Intrinsics.lens``.
-        rows: Of the shape.
-        cols: The same.
-        model: ``(1,)`` the constants.
+    For the arguments see ``isometry``; ``lattice`` is in pixels.
     """
-    constants = model[0]
     space, focal, torn, turned, spacing = viewing_rays(lattice, lens), (lens[0] + lens[1]) / 2, 0.0, 0.0, 0.0
     steps, begins = np.zeros((2, FINE // 2, FINE)), np.empty(FINE, np.int64)
     trends, falls = np.zeros((2, FINE // 2, FINE)), np.zeros((2, FINE // 2, 2))
@@ -156,8 +170,8 @@ def isometry_in_image(
             along = _profile(lattice, hidden, depth, mask, at, nodes, begins)
             last, wide = begins[_LAST], lattice[nodes[_LAST]] - lattice[nodes[0]]
             pixels = math.hypot(wide[0], wide[1])
-            angle, margin = pixels / (last * focal), math.ceil(constants.smeared * last / max(pixels, 1.0))
-            flying = math.ceil(constants.flying * last / max(pixels, 1.0))
+            angle, margin = pixels / (last * focal), math.ceil(model.smeared * last / max(pixels, 1.0))
+            flying = math.ceil(model.flying * last / max(pixels, 1.0))
             middle = along[begins[FINE // 2]] * angle
             spacing = max(spacing, middle if math.isfinite(middle) else 0.0)
             for k in range(1, _LAST - 1):
@@ -169,21 +183,21 @@ def isometry_in_image(
                     if rise > steps[down, i, k]:
                         steps[down, i, k] = rise
             ends = last - begins[_LAST - 1], last - begins[_LAST - 3]
-            falls[down, i, 0] = _fall(along, flying, begins[1], begins[3], angle, constants)
-            falls[down, i, 1] = _fall(along[::-1], flying, ends[0], ends[1], angle, constants)
+            falls[down, i, 0] = _fall(along, flying, begins[1], begins[3], angle, model)
+            falls[down, i, 1] = _fall(along[::-1], flying, ends[0], ends[1], angle, model)
     # A sample is read up to half a pixel from its place: on a slope that is a step too.
     slope = max(np.median(trends[0, :, 1 : _LAST - 1]), np.median(trends[1, :, 1 : _LAST - 1]))
     noise = np.median(steps[:, :, 1 : _LAST - 1])
-    limit = max(constants.step, constants.step_noise * noise, constants.step_slope * spacing) + slope
+    limit = max(model.step, model.step_noise * noise, model.step_slope * spacing) + slope
     for down in range(2):
         torn_lines, turned_lines = 0, np.zeros(2)
         for i in range(FINE // 2):
             torn_lines += (steps[down, i] - trends[down, i]).max() > limit
             for end in range(2):
-                turned_lines[end] += falls[down, i, end] > constants.fall_noise * noise
+                turned_lines[end] += falls[down, i, end] > model.fall_noise * noise
         torn, turned = max(torn, torn_lines / (FINE // 2)), max(turned, turned_lines.max() / (FINE // 2))
-    off, gap, short, long = isometry_in_space(space, rows, cols, model)
-    return off, gap, short, long, torn, turned
+    off, gap, (short, long, _, _) = _in_space(space, rows, cols, model)
+    return off, gap, (short, long, torn, turned)
 
 
 @compiled

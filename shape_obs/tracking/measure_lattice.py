@@ -9,11 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import deprojected
+from shape_obs.clustering.som import batch_epochs
 from shape_obs.compiled import compiled
 from shape_obs.frame import DepthImages
-from shape_obs.geometry.coons import AROUND, FINE, TURN_REACH, coons_patch
-from shape_obs.geometry.lattice import assess_lattice
-from shape_obs.geometry.polyline import arc_length, closed, even_around
+from shape_obs.geometry.coons import AROUND, FINE, TURN_REACH, coons_patch, corners_of
+from shape_obs.geometry.lattice import assess_lattice, lattice_gauges, sample_lattice, transposed
+from shape_obs.geometry.polyline import arc_length, closed, even_around, interpolate
+from shape_obs.geometry.topology import pull_of, undo_lattice_shrinkage
 from shape_obs.initialization.corners import best_corners, nearest_corners, sheet_outline
 from shape_obs.tracking.complete_lattice import outline_depth
 from shape_obs.tracking.register_lattice import match_corners
@@ -24,6 +26,9 @@ Mask = npt.NDArray[np.uint8]
 Vector = tuple[float, float, float]
 
 UNBENT: Final = (90.0, 0.0, 0.0, 0.0)  # what ``assess_lattice`` returns of a rectangle
+CELL: Final = 8  # pixels: the edge of the cells of a mask that the map of a sheet's inside is given
+_MAP: Final = 8, 8  # its rows and columns
+_SIGMA: Final = 0.5  # nodes: width of its neighbourhood
 
 
 @compiled
@@ -58,16 +63,6 @@ def numbered_corners(outline: Any, nodes: Array, best: bool) -> tuple[Indices, i
     return corners, number, moved
 
 
-@compiled
-def corners_of(nodes: Array) -> Array:
-    """Return ``(4, D)`` the corners of a lattice ``(625, D)``, clockwise."""
-    corners = np.empty((4, nodes.shape[1]))
-    for k in range(4):
-        for d in range(nodes.shape[1]):
-            corners[k, d] = nodes[(0, FINE - 1, FINE * FINE - 1, FINE * (FINE - 1))[k], d]
-    return corners
-
-
 @compiled("(f8[:,::1], f8[:,::1], f8[:,::1], b1)")
 def patch_in_cloud(
     outline: Array, flat: Array, nodes: Array, best: bool
@@ -87,6 +82,44 @@ def patch_in_cloud(
         return unrolled.points[:0], 0.0, UNBENT
     patch, kink = coons_patch(unrolled, unrolled.points, corners)
     return patch, kink, assess_lattice(patch.reshape(FINE, FINE, 2))
+
+
+@compiled("(f8[:,::1], f8[:,::1], f8[::1], i8)")
+def even_inside(lattice: Array, points: Array, weight: Array, epochs: int) -> Array:
+    """Return a lattice ``(625, D)`` whose inside a self-organising map has evened out; its border stays.
+
+    Args:
+        lattice: ``(625, D)``.
+        points: ``(M, D)`` samples of the sheet.
+        weight: ``(M,)`` how much each counts.
+        epochs: Of the map.
+    """
+    size, (high, wide), at = lattice.shape[1], _MAP, np.arange(FINE).astype(np.float64)
+    fine = lattice.reshape(FINE, FINE, size)
+    down, right = lattice_gauges(fine)
+    start = sample_lattice(fine, down, right, high, wide, True)
+    nodes = batch_epochs(points, weight, start, _MAP, False, np.full(epochs, _SIGMA))
+    nodes = undo_lattice_shrinkage(nodes.reshape(high, wide, size), pull_of(_SIGMA))
+    moved = np.zeros((high + 2, wide + 2, size))  # nothing at the border
+    for row in range(high):
+        for col in range(wide):
+            for d in range(size):
+                moved[row + 1, col + 1, d] = nodes[row, col, d] - start[row * wide + col, d]
+    rows = interpolate(moved.reshape(high + 2, (wide + 2) * size), _knots(down, high), at)
+    cols = transposed(rows.reshape(FINE, wide + 2, size)).reshape(wide + 2, FINE * size)
+    found = transposed(interpolate(cols, _knots(right, wide), at).reshape(FINE, FINE, size))
+    return lattice + found.reshape(FINE * FINE, size)
+
+
+@compiled
+def _knots(gauge: Array, count: int) -> Array:
+    """Return ``(count + 2,)`` where the nodes of a map lie between the rows, or columns, of a lattice, and its ends."""
+    middles, out = (np.arange(count) + 0.5) / count * gauge[-1], np.empty(count + 2)
+    inside = interpolate(np.arange(FINE).astype(np.float64).reshape(FINE, 1), gauge, middles)
+    out[0], out[count + 1] = 0.0, FINE - 1.0
+    for k in range(count):
+        out[k + 1] = inside[k, 0]
+    return out
 
 
 @compiled

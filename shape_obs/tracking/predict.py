@@ -14,17 +14,16 @@ from shape_obs.geometry.outline import with_turning
 from shape_obs.geometry.topology import Chain, Topology
 from shape_obs.image.roi import Window
 from shape_obs.tracking.model import MotionModel
-from shape_obs.tracking.state import ENDS, ShapeState, State
+from shape_obs.tracking.scene import Box
+from shape_obs.tracking.state import ENDS, State
 
 Array = npt.NDArray[np.float64]
-Box = tuple[int, int, int, int]
-#: The track of an outline or a sheet before a frame, see ``Track``: its state, nodes, velocity and reference; and the
-#: time now, seconds.
-ShapeBefore = tuple[State, Array, Array, Array, float]
+#: The track of a shape before a frame, see ``Track``: its state, nodes, velocity, log-depth, how fast that changes, and
+#: reference; the time now, seconds; whether it was lost for long; how far its nodes can have moved.
+Before = tuple[State, Array, Array, Array, Array, Array, float, bool, float]
 
-BEFORE_TYPE: Final = "Tuple((ShapeState[::1], f8[:,::1], f8[:,::1], f8[:,::1], f8))"
+BEFORE_TYPE: Final = "Tuple(({}[::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8[:,::1], f8, b1, f8))"  # of a state
 NO_NODES: Final = np.zeros((0, 2))  # without a track
-NO_BOX: Final = 0, 0, 0, 0  # without a mask
 _LEAST_INTERVAL: Final = 1e-6  # seconds; stamps that are closer give no velocity
 
 
@@ -112,14 +111,6 @@ def reversed_rope(track: Track, points: int) -> Track:
     return track._replace(state=state, nodes=nodes, velocity=velocity, log_depth=deep, depth_rate=rate)
 
 
-def turned_sheet(track: Track, quarters: int) -> Track:
-    """Return the track of the same sheet, which begins ``quarters`` corners further on, clockwise."""
-    side, state, known = math.isqrt(len(track.reference)), track.state.copy(), track.reference
-    state["sides"] = np.roll(state["sides"], -quarters, axis=1)
-    turned = np.rot90(known.reshape(side, side, known.shape[1]), quarters)
-    return track._replace(state=state, reference=np.ascontiguousarray(turned).reshape(known.shape))
-
-
 class Fit(NamedTuple):
     """The result of fitting a shape to one frame.
 
@@ -188,13 +179,14 @@ class Prediction(NamedTuple):
         return max(self.seconds / self.track.interval, 1.0) if self.track.interval > 0 else 1.0
 
 
-def known_before(prediction: Prediction | None, dimension: int, now: float) -> ShapeBefore:
-    """Return the track of an outline or a sheet before a frame; without nodes if it has none."""
+def known_before(prediction: Prediction | None, new: State, dimension: int, now: float) -> Before:
+    """Return the track of a shape before a frame; without nodes, and with the state of a new one, if it has none."""
     if prediction is None:
         nothing = np.empty((0, dimension))
-        return np.zeros(1, ShapeState), nothing, nothing, NO_NODES, now
-    track = prediction.track
-    return track.state, track.nodes, track.velocity, track.reference, now
+        return new, nothing, nothing, NO_VALUES, NO_VALUES, NO_NODES, now, False, math.inf
+    track, now, _, lost, reach = prediction
+    moving = track.nodes, track.velocity, track.log_depth, track.depth_rate
+    return track.state, *moving, track.reference, now, lost, reach
 
 
 @compiled("(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, f8, f8)")

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.geometry.coons import AROUND, SIDE, border_of, side_lengths
+from shape_obs.geometry.coons import AROUND, FINE, SIDE, border_of, corners_of, side_lengths
 from shape_obs.geometry.polyline import arc_length, closed
 from shape_obs.geometry.rotation import moved_onto
 from shape_obs.tracking.model import gain_of
@@ -69,6 +69,36 @@ def match_corners(expected: Array, corners: Array) -> tuple[int, int, float]:
             worst, most = k, off
         reach = max(reach, square)
     return quarters, worst, math.sqrt(most / reach)
+
+
+@compiled("(f8[:,::1], f8[::1])")
+def first_corner(seen: Array, target: Array) -> int:
+    """Return how many corners further on, clockwise, the paper's rule puts the first corner of a lattice.
+
+    Args:
+        seen: ``(625, D)`` as numbering sees it, see ``Observed.seen``.
+        target: ``(D,)`` where the first corner belongs; ``(0,)`` makes rows run right and columns down.
+    """
+    if len(target) > 0:
+        corners, nearest, least = corners_of(seen), 0, np.inf
+        for k in range(4):
+            square = 0.0
+            for d in range(len(target)):
+                square += (corners[k, d] - target[d]) ** 2
+            nearest, least = (k, square) if square < least else (nearest, least)
+        return nearest
+    right, down, last = np.zeros(2), np.zeros(2), FINE - 1
+    for i in range(FINE):
+        for d in range(2):
+            right[d] += seen[i * FINE + last, d] - seen[i * FINE, d]
+            down[d] += seen[last * FINE + i, d] - seen[i, d]
+    wide, high = math.hypot(right[0], right[1]), math.hypot(down[0], down[1])
+    level = right[0] / max(wide, 1e-9) + down[1] / max(high, 1e-9)
+    upright = down[0] / max(high, 1e-9) - right[1] / max(wide, 1e-9)
+    turns, best = (level, upright, -level, -upright), 0
+    for k in range(1, 4):
+        best = k if turns[k] > turns[best] else best
+    return best
 
 
 @compiled

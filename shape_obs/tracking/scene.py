@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import Intrinsics
-from shape_obs.frame import DepthImages, Frame, depth_images
+from shape_obs.frame import DEPTH_TYPE, DepthImages, Frame, depth_images
 from shape_obs.geometry.curve import NO_VALUES
 from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
@@ -17,8 +17,18 @@ from shape_obs.tracking.clock import Clock
 
 #: Name -> pixel (u, v) or base-frame point (x, y, z), metres.
 Anchors = Mapping[str, Sequence[float]] | None
-Own = tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], int, int, int]
-Around = tuple[DepthImages, tuple[int, int, int, int], npt.NDArray[np.float64]]
+Box = tuple[int, int, int, int]
+#: A mask as a step takes it: ``(h, w)`` uint8; ``(R, 3)`` its runs; how many components there are; three boxes in the
+#: image (left, top, width, height): the mask's, that of what is in it, that of what is searched; the frame's depth, see
+#: ``frame.depth_images``, both empty without depth or a camera; the projection, see ``Intrinsics.lens``, ``(0,)``
+#: without one.
+InMask = tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], int, Box, Box, Box, DepthImages, npt.NDArray[np.float64]]
+
+MASK_TYPE: Final = f"Tuple((u1[:,::1], i8[:,::1], i8, {3 * 'UniTuple(i8, 4), '}{DEPTH_TYPE}, f8[::1]))"
+NO_BOX: Final = 0, 0, 0, 0  # without a mask
+NO_MASK: Final[InMask] = (  # in a cloud
+    np.zeros((0, 0), np.uint8), np.zeros((0, 3), np.int64), 0, NO_BOX, NO_BOX, NO_BOX, depth_images(None), NO_VALUES,
+)  # fmt: skip
 
 
 class Scene(NamedTuple):
@@ -60,11 +70,8 @@ class Scene(NamedTuple):
         camera = frame.camera.intrinsics
         return cls(frame, clock, anchors, True, True, size, edge, frame.depth, camera, frame.images, camera.lens)
 
-    def around(self, region: Region) -> tuple[Own, Around]:
-        """Return what compiled stages take of a mask, and of the rest of the frame.
-
-        Returns:
-            Mask, runs, pieces, left, top; depth, left, top, width and height of what is searched, the projection.
-        """
-        (left, top, *_), (x, y, wide, high) = region.window, self.edge or region.window
-        return (region.mask, region.runs, region.pieces, left, top), (self.images, (x, y, wide, high), self.lens)
+    def in_mask(self, region: Region) -> InMask:
+        """Return a mask, and the frame around it, as a step takes them."""
+        edge = (self.edge or region.window)[:4]
+        own = region.mask, region.runs, region.pieces, region.window[:4], region.box[:4]
+        return *own, edge, self.images, self.lens

@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.compiled import compiled
-from shape_obs.frame import DEPTH_TYPE, DepthImages, depth_images
-from shape_obs.geometry.curve import NO_VALUES, first_coordinates, with_log_depth
+from shape_obs.geometry.curve import first_coordinates, with_log_depth
 from shape_obs.geometry.polyline import arc_length, even_points, interpolate
 from shape_obs.geometry.topology import from_tip_to_tip
 from shape_obs.tracking.complete_chain import complete_chain
@@ -22,36 +21,22 @@ from shape_obs.tracking.judge_chain import judge_chain
 from shape_obs.tracking.measure_chain import fit_chain_in_mask
 from shape_obs.tracking.model import ChainConstants, Model  # noqa: F401 - the first in signatures
 from shape_obs.tracking.occluders import UNKNOWN
-from shape_obs.tracking.predict import NO_BOX, Box, advance, counted, predict
+from shape_obs.tracking.predict import BEFORE_TYPE, Before, advance, counted, predict
 from shape_obs.tracking.register_chain import register_chain
+from shape_obs.tracking.scene import MASK_TYPE, InMask
 from shape_obs.tracking.state import RopeState, State  # noqa: F401 - the first in a signature
 
 Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]
 #: A track after a frame, see ``Track``: state, nodes, velocity, log-depth and how fast it changes. And the whole curve:
 #: points ``(P, D)``, flags, arc length, metres, pixels and log-depth, ``(P,)``, the last three ``(0,)`` where they are
 #: not known.
 Stepped = tuple[State, Array, Array, Array, Array, Array, Flags, Array, Array, Array, Array]
-#: A track before a frame: state, nodes, velocity, log-depth and how fast it changes; the time now, seconds; whether the
-#: rope was lost for long; how far its nodes can have moved.
-RopeBefore = tuple[State, Array, Array, Array, Array, float, bool, float]
-#: A mask: ``(R, 3)`` its runs; ``(h, w)`` uint8; three boxes in the image (left, top, width, height): the mask's, that
-#: of what is in it, that of what is searched; the frame's depth, see ``frame.depth_images``, both empty without depth
-#: or a camera; the projection, see ``Intrinsics.lens``, ``(0,)`` without one.
-InMask = tuple[Indices, Mask, Box, Box, Box, DepthImages, Array]
 #: A curve through a cloud, from tip to tip, ``(P, 3)``; where it does not lie on what is seen ``(P,)``; the mean square
 #: distance of the points from it; their width; their resolution.
 InCloud = tuple[Array, Flags, float, float, float]
 
-# The types of ``RopeBefore``, ``InMask`` and ``InCloud``.
-_BEFORE: Final = "Tuple((RopeState[::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, b1, f8))"
-_IN_MASK: Final = f"Tuple((i8[:,::1], u1[:,::1], {', '.join(3 * ['UniTuple(i8, 4)'])}, {DEPTH_TYPE}, f8[::1]))"
-_IN_CLOUD: Final = "Tuple((f8[:,::1], b1[::1], f8, f8, f8))"
-NO_MASK: Final[InMask] = (  # in a cloud
-    np.zeros((0, 3), np.int64), np.zeros((0, 0), np.uint8), NO_BOX, NO_BOX, NO_BOX, depth_images(None), NO_VALUES,
-)  # fmt: skip
+_CLOUD_TYPE: Final = "Tuple((f8[:,::1], b1[::1], f8, f8, f8))"
 NO_CLOUD: Final[InCloud] = np.zeros((0, 2)), np.zeros(0, bool), 0.0, 0.0, 1.0  # the resolution of a mask is a pixel
 
 _FEWEST: Final = 6  # nodes of a visible piece
@@ -59,10 +44,12 @@ _MAX_CELL: Final = 24  # pixels: the edge of a cell of a very wide rope
 _MAX_CELLS: Final = 4096  # about; more change nothing and cost time
 
 
-@compiled(f"({_IN_MASK}, {_IN_CLOUD}, i8, f8[:,::1], f8, f8, b1, {_BEFORE}, ChainConstants[::1])")
+@compiled(
+    f"({MASK_TYPE}, {_CLOUD_TYPE}, i8, f8[:,::1], f8, f8, b1, {BEFORE_TYPE.format('RopeState')}, ChainConstants[::1])"
+)
 def step_chain(
     image: InMask, cloud: InCloud, area: int, start: Array, width: float, off: float, in_metres: bool,
-    before: RopeBefore, model: Model,
+    before: Before, model: Model,
 ) -> Stepped:  # fmt: skip
     """Follow a rope into a frame, or find it there: predict, measure, register, complete and judge it.
 
@@ -78,9 +65,9 @@ def step_chain(
         before: The track; without nodes at a cold start.
         model: ``(1,)`` the constants.
     """
-    runs, mask, window, box, edge, depth, lens = image
+    mask, runs, _, window, box, edge, depth, lens = image
     points, flags, spread, breadth, resolution = cloud
-    known, last, velocity, deep_before, depth_rate, stamp, lost, reach = before
+    known, last, velocity, deep_before, depth_rate, _, stamp, lost, reach = before
     constants, was, cold, nothing = model[0], known[0], len(last) == 0, lens[:0]
 
     nodes, node_log_depth, motion = predict(

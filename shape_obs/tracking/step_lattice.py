@@ -7,37 +7,49 @@ is compared with what is known of it; where something hides its border, that is 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.camera import deprojected, projected
 from shape_obs.compiled import compiled
-from shape_obs.frame import DEPTH_TYPE, DepthImages
-from shape_obs.geometry.coons import AROUND, FINE, blend_sides, border_of, coons_patch, side_lengths, sides_of
+from shape_obs.geometry.coons import (
+    AROUND,
+    FINE,
+    blend_sides,
+    border_of,
+    coons_patch,
+    corners_of,
+    side_lengths,
+    sides_of,
+    turned_places,
+)
 from shape_obs.geometry.lattice import assess_lattice, lattice_gauges
 from shape_obs.geometry.outline import SAMPLED, material_outline
 from shape_obs.geometry.polyline import arc_length, closed
 from shape_obs.geometry.rotation import flattened
-from shape_obs.image.connected_runs import near_mask
+from shape_obs.image.connected_runs import gather_cells, near_mask
 from shape_obs.image.over_under import depth_at
 from shape_obs.initialization.corners import sheet_outline
 from shape_obs.tracking.complete_lattice import complete_border, hide_folded, outline_depth
-from shape_obs.tracking.measure_lattice import UNBENT, corners_of, numbered_corners, turns_within
+from shape_obs.tracking.isometry import Measures, flatness, isometry
+from shape_obs.tracking.measure_lattice import CELL, UNBENT, even_inside, numbered_corners, turns_within
 from shape_obs.tracking.measure_ring import MIN_SAMPLES, trace_border
 from shape_obs.tracking.model import LatticeConstants, Model  # noqa: F401 - the first in signatures
-from shape_obs.tracking.predict import BEFORE_TYPE, Box, ShapeBefore, advance, counted, predict
+from shape_obs.tracking.predict import BEFORE_TYPE, NO_NODES, Before, advance, counted, predict
 from shape_obs.tracking.register_lattice import (
     compare_sheet,
     compare_sides,
     doubtful_places,
+    first_corner,
     learn_sheet,
     learn_sides,
     match_corners,
     rescaled,
     visible_corners,
 )
+from shape_obs.tracking.scene import MASK_TYPE, NO_BOX, InMask
 from shape_obs.tracking.state import ShapeState, State  # noqa: F401 - the first in signatures
 from shape_obs.tracking.validation import (
     NO_CORNERS,
@@ -51,11 +63,22 @@ from shape_obs.tracking.validation import (
 )
 
 Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]
 
 _NEAREST, _COMPLETED, _BEST, _BUCKLED = range(4)  # the placements that are tried, in this order
+
+
+#: A sheet that was found in a cloud: ``(625, 3)`` its lattice, metres; ``(625,)`` whether the cloud carries a node;
+#: what numbering sees of them, ``(625, D)``, see ``Observed.seen``; by how many degrees its outline turns between two
+#: corners; see ``assess_lattice``; the resolution.
+InCloud = tuple[Array, Flags, Array, float, tuple[float, float, float, float], float]
+#: What was found: what is wrong with it, see ``sheet_fault``; its quality, 0...1; ``(625, D)`` nodes, pixels or metres;
+#: ``(625,)`` what of it is hidden; ``(625, D')`` the sheet as it is known now, in metres with depth, ``(0, 2)`` in a
+#: cloud; ``(4,)`` lengths of its sides.
+Found = tuple[Fault, float, Array, Flags, Array, Array]
+
+_CLOUD_TYPE: Final = "Tuple((f8[:,::1], b1[::1], f8[:,::1], f8, UniTuple(f8, 4), f8))"
+NO_CLOUD: Final[InCloud] = NO_NODES, np.zeros(0, bool), NO_NODES, 0.0, UNBENT, 1.0
 
 
 class SheetStep(NamedTuple):
@@ -64,61 +87,120 @@ class SheetStep(NamedTuple):
     Args:
         fault: What is wrong with it, see ``sheet_fault``.
         quality: 0...1.
-        nodes: ``(625, 2)`` pixels.
-        hidden: ``(625,)``.
         state: ``(1,)`` of its track.
-        reference: ``(625, D)`` the sheet as it is known now, in metres with depth.
+        nodes: ``(625, D)`` pixels or metres.
+        velocity: ``(625, D)`` of the nodes.
+        reference: ``(625, D')`` the sheet as it is known now, in metres with depth; ``(0, 2)`` in a cloud.
+        hidden: ``(625,)`` nodes that are not seen, or uncertain.
         down: ``(25,)`` see ``lattice_gauges``.
         right: ``(25,)`` the same.
-        width: Of the mask's largest piece, pixels.
+        off: ``(625,)`` see ``Isometry``; ``(0,)`` if nothing shows it.
+        folded: See ``Measures``.
+        flat: How far it may be believed that it is spread out, 0...1; 0 if it is not.
+        width: Of the mask's largest piece, pixels; 0 in a cloud.
     """
 
     fault: Fault
     quality: float
-    nodes: Array
-    hidden: Flags
     state: State
+    nodes: Array
+    velocity: Array
     reference: Array
+    hidden: Flags
     down: Array
     right: Array
+    off: Array
+    folded: Measures
+    flat: float
     width: float
 
 
 @compiled(
-    f"(u1[:,::1], i8[:,::1], i8, i8, i8, {DEPTH_TYPE}, UniTuple(i8, 4), f8[::1], UniTuple(i8, 2), f8, {BEFORE_TYPE}, "
+    f"({MASK_TYPE}, {_CLOUD_TYPE}, UniTuple(i8, 2), f8, i8, f8[::1], {BEFORE_TYPE.format('ShapeState')}, "
     "LatticeConstants[::1])"
 )
 def step_sheet(
-    mask: Mask, runs: Indices, pieces: int, left: int, top: int, depth: DepthImages, edge: Box, lens: Array,
-    size: tuple[int, int], freedom: float, before: ShapeBefore, model: Model,
+    image: InMask, cloud: InCloud, size: tuple[int, int], freedom: float, epochs: int, target: Array, before: Before,
+    model: Model,
 ) -> SheetStep:  # fmt: skip
-    """Follow a sheet into a mask, or find it there.
+    """Follow a sheet into a frame, or find it there: predict, measure, register and complete it.
 
     Args:
-        mask: As ``trace_components`` takes it, and the next four.
-        runs: Of the mask.
-        pieces: How many components there are.
-        left: Image column.
-        top: Image row.
-        depth: As ``outline_depth`` takes it, and the next.
-        edge: Of what is searched.
-        lens: The projection, see ``Intrinsics.lens``; ``(0,)`` without one.
+        image: The mask, or that of a cloud; ``NO_MASK`` without one.
+        cloud: The cloud; ``NO_CLOUD`` if there is none.
         size: Rows and columns of points that are asked for.
         freedom: How far a corner may move that the others do not, see ``judge_sheet``.
+        epochs: Of the map that evens out its inside.
+        target: Where the first corner belongs in a first frame, see ``first_corner``.
         before: The track; without nodes in a first frame.
         model: ``(1,)`` the constants.
     """
-    constants, nothing, blank = model[0], np.zeros(0), np.empty((0, 2))
-    was, last, speed, reference, stamp = before
+    mask, runs, _, window, box, _, depth, lens = image
+    constants, nothing, width = model[0], lens[:0], 0.0
+    was, last, speed, _, _, _, stamp, _, _ = before
     seconds = stamp - was[0].stamp
     nodes, _, _ = predict(last, speed, nothing, nothing, seconds, was[0].interval, constants.velocity_share)
-    lasted, sides, state = counted(seconds, constants), np.empty(4), was.copy()
+
+    if len(cloud[0]) > 0:
+        fault, quality, nodes, hidden, known, sides = _find_in_cloud(cloud, nodes, freedom, before, model)
+        seen, box = cloud[2], NO_BOX
+    else:
+        found, width = _find_in_mask(image, size, freedom, nodes, before, model)
+        fault, quality, nodes, hidden, known, sides = found
+        seen = nodes
+    state, down, right, flat = was.copy(), nothing, nothing, 1.0
+    off, folded = nothing, (0.0, 0.0, 0.0, 0.0)
+    if fault[0] != NO_FAULT:
+        return SheetStep(fault, quality, state, nodes, nodes, known, hidden, down, right, off, folded, flat, width)
+    if epochs > 0 and len(cloud[0]) == 0:
+        points, weight = gather_cells(runs, CELL)
+        nodes = even_inside(nodes, points, weight, epochs)
+        seen = nodes
+    quarters = first_corner(seen, target) if len(last) == 0 else 0
+    if quarters > 0:
+        turn = turned_places(quarters)
+        nodes, hidden = nodes[turn], hidden[turn]
+        known = known[turn] if len(known) > 0 else known
+    down, right = lattice_gauges(nodes.reshape(FINE, FINE, nodes.shape[1]))
+
+    off, gap, folded = isometry(nodes, hidden, depth, mask, window[:2], lens, size[0], size[1], constants)
+    flat = flatness(folded, constants)
+    for p in range(len(off)):
+        hidden[p] = hidden[p] or off[p] > constants.uncertain * gap
+    for k in range(4):  # what is folded teaches no lengths
+        state[0].sides[k] = was[0].sides[k] if flat == 0 else sides[(k + quarters) % 4]
+    velocity, _ = advance(
+        was[0], state[0], nodes, last, nothing, nothing, stamp, down[-1] + right[-1], width, box, 1.0, constants
+    )
+    return SheetStep(
+        fault, quality * flat, state, nodes, velocity, known, hidden, down, right, off, folded, flat, width
+    )
+
+
+@compiled
+def _find_in_mask(
+    image: InMask, size: tuple[int, int], freedom: float, nodes: Array, before: Before, model: Model
+) -> tuple[Found, float]:
+    """Return what was found of a sheet in a mask, and the width of the mask's largest piece, pixels.
+
+    Args:
+        image: The mask.
+        size: Rows and columns of points that are asked for.
+        freedom: See ``step_sheet``.
+        nodes: ``(625, 2)`` where the sheet is predicted; ``(0, 2)`` in a first frame.
+        before: The track.
+        model: ``(1,)`` the constants.
+    """
+    mask, runs, pieces, (left, top, _, _), _, edge, depth, lens = image
+    constants, nothing, blank = model[0], lens[:0], np.empty((0, 2))
+    was, _, _, _, _, reference, stamp, _, _ = before
+    lasted, sides = counted(stamp - was[0].stamp, constants), np.empty(4)
     for k in range(4):
         sides[k] = was[0].sides[k]
     traced, width, _ = trace_border(mask, runs, pieces, left, top, -1)
     fault, quality, pixels, hidden, learnt, lengths = (NO_CORNERS, 0, 0.0, 0.0), 0.0, blank, nothing > 0, blank, sides
     if len(traced) <= SAMPLED * (MIN_SAMPLES - 1):
-        return SheetStep(fault, quality, pixels, hidden, state, learnt, nothing, nothing, width)
+        return (fault, quality, pixels, hidden, learnt, lengths), width
     outline = sheet_outline(material_outline(traced, False)[1])
     z, cut = outline_depth(depth, edge, mask, left, top, outline.points, width, constants)
     space = deprojected(outline.points, z, lens)
@@ -218,63 +300,33 @@ def step_sheet(
             break
     if len(reference) > 0 and reference.shape[1] > learnt.shape[1]:  # this frame has lost its depth
         learnt, lengths = reference, sides
-    for k in range(4):
-        state[0].sides[k] = lengths[k]
-    down = right = nothing
-    if fault[0] == NO_FAULT:
-        down, right = lattice_gauges(pixels.reshape(FINE, FINE, 2))
-    return SheetStep(fault, quality, pixels, hidden, state, learnt, down, right, width)
+    return (fault, quality, pixels, hidden, learnt, lengths), width
 
 
-@compiled("(f8[:,::1], f8, f8[:,::1], " + BEFORE_TYPE + ", LatticeConstants[::1])")
-def register_in_cloud(
-    lattice: Array, resolution: float, nodes: Array, before: ShapeBefore, model: Model
-) -> tuple[int, State, int, int]:
-    """Compare a sheet that was found in a cloud with its track.
+@compiled
+def _find_in_cloud(cloud: InCloud, nodes: Array, freedom: float, before: Before, model: Model) -> Found:
+    """Return what was found of a sheet in a cloud, numbered as its track is; for the arguments see ``step_sheet``.
 
     Args:
-        lattice: ``(625, 3)`` metres.
-        resolution: Of the cloud, metres.
-        nodes: ``(625, 3)`` where the sheet is predicted.
-        before: The track; without nodes in a first frame.
+        cloud: The cloud.
+        nodes: ``(625, 3)`` where the sheet is predicted; ``(0, 3)`` in a first frame.
+        freedom: See there.
+        before: The track.
         model: ``(1,)`` the constants.
-
-    Returns:
-        By how many quarters the lattice is to be turned so that it is numbered as the track is; the state ``(1,)`` of
-        the track with the lengths of the sides; a code and a side, see ``compare_sheet``.
     """
-    (was, last, _, _, stamp), constants, quarters = before, model[0], 0
-    state, code, side, lengths = was.copy(), NO_FAULT, 0, side_lengths(border_of(lattice))
-    if len(last) > 0:
+    (lattice, carried, _, kink, measures, resolution), constants = cloud, model[0]
+    was, _, _, _, _, reference, stamp, _, _ = before
+    code, side, lengths, hidden = NO_FAULT, 0, side_lengths(border_of(lattice)), ~carried
+    fault, quality = judge_sheet(np.count_nonzero(hidden) / len(hidden), measures, kink, 0, 0.0, freedom, model)
+    if len(nodes) > 0:
         quarters, _, _ = match_corners(corners_of(nodes), corners_of(lattice))
-        found, sides, tolerance, most = np.empty(4), was[0].sides.copy(), np.empty(4), constants.max_stretch[1]
+        turn, found, sides, tolerance = turned_places(quarters), np.empty(4), was[0].sides.copy(), np.empty(4)
+        lattice, hidden = lattice[turn], hidden[turn]
         for k in range(4):
             found[k] = lengths[(k + quarters) % 4]
             tolerance[k] = max(constants.length_tolerance[1] * sides[k], constants.border_noise * resolution)
             # What hides a part of it makes no side longer: it was not all in sight before.
             sides[k] = found[k] if found[k] > sides[k] + tolerance[k] else sides[k]
         code, side = compare_sides(found, sides, tolerance)
-        lengths = learn_sides(found, sides, most * counted(stamp - was[0].stamp, constants))
-    for k in range(4):
-        state[0].sides[k] = lengths[k]
-    return quarters, state, code, side
-
-
-@compiled("(ShapeState[::1], f8[:,::1], f8, f8, UniTuple(i8, 4), " + BEFORE_TYPE + ", LatticeConstants[::1])")
-def advance_sheet(
-    state: State, nodes: Array, size: float, width: float, box: Box, before: ShapeBefore, model: Model
-) -> Array:
-    """Write into the state of a sheet how it has moved, and return the velocity of its nodes.
-
-    Args:
-        state: ``(1,)`` after this frame; written to.
-        nodes: ``(625, D)`` where they were found.
-        size: Of the lattice.
-        width: Of the sheet; 0 if it is not known.
-        box: Around its mask; ``NO_BOX`` in a cloud.
-        before: The track; without nodes in a first frame.
-        model: ``(1,)`` the constants.
-    """
-    known, last, _, _, stamp = before
-    nothing = np.zeros(0)
-    return advance(known[0], state[0], nodes, last, nothing, nothing, stamp, size, width, box, 1.0, model[0])[0]
+        lengths = learn_sides(found, sides, constants.max_stretch[1] * counted(stamp - was[0].stamp, constants))
+    return fault if code == NO_FAULT else (code, side, 0.0, 0.0), quality, lattice, hidden, reference[:0], lengths

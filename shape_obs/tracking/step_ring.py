@@ -13,21 +13,18 @@ import numpy.typing as npt
 
 from shape_obs.camera import deprojected, projected
 from shape_obs.compiled import compiled
-from shape_obs.frame import DEPTH_TYPE, DepthImages, depth_images
-from shape_obs.geometry.curve import NO_VALUES
 from shape_obs.geometry.outline import SAMPLED, material_outline
 from shape_obs.geometry.polyline import arc_length, closed, nearest_vertex, starting_at
 from shape_obs.tracking.complete_lattice import outline_depth
 from shape_obs.tracking.complete_ring import complete_outline, hidden_pieces, sticks_out
 from shape_obs.tracking.measure_ring import MIN_SAMPLES, fit_ring_in_mask, nodes_around, trace_border
 from shape_obs.tracking.model import Model, RingConstants  # noqa: F401 - the last in signatures
-from shape_obs.tracking.predict import BEFORE_TYPE, NO_BOX, Box, ShapeBefore, advance, counted, predict
+from shape_obs.tracking.predict import BEFORE_TYPE, Before, advance, counted, predict
 from shape_obs.tracking.register_ring import begin_outline, first_place, register_ring
+from shape_obs.tracking.scene import MASK_TYPE, InMask
 from shape_obs.tracking.state import ShapeState, State  # noqa: F401 - the first in signatures
 
 Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.uint8]
 Flags = npt.NDArray[np.bool_]
 #: A curve ``(P, D)``; the same in metres ``(P, 3)``, ``(0, 3)`` where its form is that of the points; its arc length
 #: ``(P + 1,)``; nodes ``(K, D)``; what is known of it now, ``(K, D')``, ``(0, 2)`` if nothing is; how far its
@@ -39,28 +36,19 @@ Stepped = tuple[State, Array, Array, Array, Array, Array, Array, bool, float]
 #: What was followed; why there is nothing, or ``FOUND``; how many samples the outline has; the width of the largest
 #: component, pixels.
 RingStep = tuple[Stepped, int, int, float]
-#: A mask: as ``trace_components`` takes it, the mask, its runs, the number of components, left and top; as
-#: ``outline_depth`` takes it, the depth and the edge of what is searched; the projection, see ``Intrinsics.lens``,
-#: ``(0,)`` without one; the box around what is in the mask.
-InMask = tuple[Mask, Indices, int, int, int, DepthImages, Box, Array, Box]
 #: A curve that was fitted to a cloud, ``(P, 3)``, clockwise as seen, in a first frame from where its numbering begins;
 #: how many nodes a track begins with; how far the outline misses it, in distances of its samples; the resolution.
 InCloud = tuple[Array, int, float, float]
 
-# The types of ``InMask`` and ``InCloud``.
-_IN_MASK: Final = f"Tuple((u1[:,::1], i8[:,::1], i8, i8, i8, {DEPTH_TYPE}, UniTuple(i8, 4), f8[::1], UniTuple(i8, 4)))"
-_IN_CLOUD: Final = "Tuple((f8[:,::1], i8, f8, f8))"
-NO_MASK: Final[InMask] = (  # in a cloud
-    np.zeros((0, 0), np.uint8), np.zeros((0, 3), np.int64), 0, 0, 0, depth_images(None), NO_BOX, NO_VALUES, NO_BOX,
-)  # fmt: skip
+_CLOUD_TYPE: Final = "Tuple((f8[:,::1], i8, f8, f8))"
 NO_CLOUD: Final[InCloud] = np.zeros((0, 2)), 0, 0.0, 1.0  # the resolution of a mask is a pixel
 
 FOUND, NO_HOLE, NOT_HOLLOW, TOO_SMALL, TOO_THIN = range(5)  # why there is no outline, if there is none
 
 
-@compiled(f"({_IN_MASK}, {_IN_CLOUD}, i8, b1, f8[::1], {BEFORE_TYPE}, RingConstants[::1])")
+@compiled(f"({MASK_TYPE}, {_CLOUD_TYPE}, i8, b1, f8[::1], {BEFORE_TYPE.format('ShapeState')}, RingConstants[::1])")
 def step_ring(
-    image: InMask, cloud: InCloud, hole: int, band: bool, target: Array, before: ShapeBefore, model: Model
+    image: InMask, cloud: InCloud, hole: int, band: bool, target: Array, before: Before, model: Model
 ) -> RingStep:
     """Follow an outline into a frame, or find it there: predict, measure, register and complete it.
 
@@ -73,9 +61,9 @@ def step_ring(
         before: The track; without nodes in a first frame.
         model: ``(1,)`` the constants.
     """
-    mask, runs, pieces, left, top, depth, edge, lens, box = image
+    mask, runs, pieces, (left, top, _, _), box, edge, depth, lens = image
     curve, count, miss, resolution = cloud
-    known, last, speed, reference, stamp = before
+    known, last, speed, _, _, reference, stamp, _, _ = before
     constants, cold, nothing, space, width, samples = model[0], len(last) == 0, lens[:0], np.empty((0, 3)), 0.0, 0
 
     seconds, usual = stamp - known[0].stamp, constants.velocity_share
@@ -139,7 +127,7 @@ def _follow_ring(
         nodes: ``(K, D)`` predicted.
         known: ``(K, D')`` the nodes in the past; ``(0, 2)`` if they are not known.
         resolution: Of the points.
-        lens: See ``InMask``.
+        lens: The projection.
         lasted: Seconds for which this frame counts.
         model: The constants, one ``RingModel``.
 

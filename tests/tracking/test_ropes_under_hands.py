@@ -10,12 +10,16 @@ import pytest
 
 from shape_obs import Centerline, Intrinsics, ShapeDetector
 from shape_obs.bench.scenes import draw_rope
-from shape_obs.frame import depth_images
+from shape_obs.frame import Frame
 from shape_obs.geometry.polyline import arc_length, resample
+from shape_obs.geometry.topology import Chain
 from shape_obs.image.find_region import find_region
 from shape_obs.image.roi import Window
+from shape_obs.tracking.clock import Clock
 from shape_obs.tracking.judge_chain import reason_of
 from shape_obs.tracking.model import ChainModel
+from shape_obs.tracking.predict import Prediction, Track, known_before
+from shape_obs.tracking.scene import Scene
 from shape_obs.tracking.state import new_rope
 from shape_obs.tracking.step import NO_CLOUD, step_chain
 from tests.benchmarks.hidden import covered_rope, track
@@ -328,9 +332,10 @@ def test_it_is_in_doubt_which_end_is_missing_where_a_free_end_may_be_folded_back
     cv2.polylines(mask, [np.rint(16 * curve).astype(np.int32)], False, 1, 8, cv2.LINE_8, 4)
     mask[:, :cut] = 0
     region = find_region(mask, Window(0, 0, 640, 480), 1, 0.0)
-    before = rope, nodes, np.zeros_like(nodes), np.zeros(0), np.zeros(0), 1 / 30, False, np.inf
-    edge = cut, 0, 640 - cut, 480
-    image = region.runs, region.mask, (0, 0, 640, 480), region.box[:4], edge, depth_images(None), np.zeros(0)
+    track = Track(rope, nodes, np.zeros_like(nodes), Chain(16))
+    before = known_before(Prediction(track, 1 / 30, ChainModel()), rope, 2, 0.0)
+    scene = Scene(Frame(), Clock(), edge=Window(cut, 0, 640 - cut, 480))
+    image = scene.in_mask(region)
     model = ChainModel().record
     state, *_ = step_chain(image, NO_CLOUD, region.area, resample(curve, 16), 8.0, 0.75, False, before, model)
     assert state["hidden"][0] == pytest.approx((0.3, 0.0), abs=0.08)

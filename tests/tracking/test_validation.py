@@ -14,8 +14,9 @@ from shape_obs.image.region import Region
 from shape_obs.image.roi import Window
 from shape_obs.tracking.judge_chain import reason_of
 from shape_obs.tracking.model import ChainModel, LatticeModel, RingModel
+from shape_obs.tracking.scene import NO_MASK
 from shape_obs.tracking.state import new_rope
-from shape_obs.tracking.step import NO_MASK, step_chain
+from shape_obs.tracking.step import step_chain
 from shape_obs.tracking.validation import FitQuality, judge_sheet, sample_spread, sheet_fault, validate_outline
 
 SIZE = (120, 400)
@@ -44,7 +45,7 @@ def judged_ribbon(curve: FittedCurve, observed: Region, expected_off: float) -> 
     hidden = min(samples.scale, observed.width) ** 2 / 12
     spread = sample_spread(samples.points, samples.weight, curve.points) + hidden
     nothing, none, model = np.zeros(0), np.zeros((0, 2)), ChainModel()
-    before = new_rope(model), none, none, nothing, nothing, 0.0, False, np.inf
+    before = new_rope(model), none, none, nothing, nothing, none, 0.0, False, np.inf
     cloud = curve.points, curve.interpolated, spread, observed.width, 1.0
     state, *_ = step_chain(
         NO_MASK, cloud, observed.area, curve.points[::18].copy(), 0.0, expected_off, False, before, model.record
