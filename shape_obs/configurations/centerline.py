@@ -28,6 +28,7 @@ from shape_obs.initialization.medial_axis import AXIS_FUNCTIONS, medial_axis
 from shape_obs.initialization.objects import SceneObject
 from shape_obs.initialization.ropes import find_ropes
 from shape_obs.point_cloud.lifting import leave_out_overlaid
+from shape_obs.point_cloud.local_pca import moments_within
 from shape_obs.tracking.judge_chain import is_unclear, reason_of
 from shape_obs.tracking.memory import evidence_of_order
 from shape_obs.tracking.model import ChainModel
@@ -215,7 +216,7 @@ class Centerline(Configuration, kind="centerline"):
         masks = step_chain, points_along, direction
         masks += sharp_bends, local_stretch, leave_out_overlaid, crossing_table, upper_strands, spread_of
         clouds = arc_length, batch_epochs, catmull_rom, interpolate, sample_spread, undo_shrinkage
-        clouds += (visible_nodes,)
+        clouds += visible_nodes, moments_within
         return masks + AXIS_FUNCTIONS + clouds
 
 

@@ -26,6 +26,7 @@ from shape_obs.geometry.polyline import (
 from shape_obs.geometry.topology import Ring
 from shape_obs.image.outline_tracing import trace_hole
 from shape_obs.image.region import Region
+from shape_obs.point_cloud.local_pca import moments_within
 from shape_obs.tracking.measure_ring import MIN_SAMPLES, fit_ring_in_cloud, nodes_around
 from shape_obs.tracking.model import RingModel
 from shape_obs.tracking.predict import Fit, Prediction, Track, known_before
@@ -146,7 +147,7 @@ class Contour(Configuration, kind="contour"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        clouds = nodes_around, fit_ring_in_cloud, arc_length, catmull_rom, interpolate
+        clouds = nodes_around, fit_ring_in_cloud, arc_length, catmull_rom, interpolate, moments_within
         clustered = trace_hole, material_outline
         return step_ring, *clouds, *clustered, first_place, starting_at, points_around
 

@@ -18,6 +18,7 @@ from shape_obs.geometry.outline import material_outline
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.topology import Grid
 from shape_obs.image.region import Region
+from shape_obs.point_cloud.local_pca import moments_within
 from shape_obs.tracking.isometry import folded_reason
 from shape_obs.tracking.measure_lattice import even_inside, patch_in_cloud
 from shape_obs.tracking.model import LatticeModel
@@ -36,7 +37,7 @@ Array = npt.NDArray[np.float64]
 _GRID: Final = Grid(FINE, FINE)  # the nodes that are kept from frame to frame, for any lattice that is sampled
 _COMPILED: Final = (
     step_sheet, patch_in_cloud, first_corner, lattice_gauges, sample_lattice, uneven_places, arc_length, interpolate,
-    material_outline,
+    material_outline, moments_within,
 )  # fmt: skip
 
 

@@ -14,8 +14,9 @@ from shape_obs.geometry.observed import MIN_SAMPLES, Samples
 from shape_obs.geometry.outline import clockwise
 from shape_obs.image.rope_tip import LAST, LAST_REST, MAX_STEPS, REACH, SHORTEST, SIDE, STEP_FROM, STEP_TO
 from shape_obs.point_cloud.geodesics import chain, ring
+from shape_obs.point_cloud.local_pca import Ribbon, measure
 from shape_obs.point_cloud.unrolling import Chart, border, chart
-from shape_obs.point_cloud.voxels import ConnectedVoxels, Piece, Ribbon, connect, measure
+from shape_obs.point_cloud.voxels import ConnectedVoxels, Piece, connect
 from shape_obs.utils.array_like import plain_array
 
 if TYPE_CHECKING:

@@ -154,7 +154,7 @@ def _inner(region: Region) -> npt.NDArray[np.int32]:
     if not region.pieces or region.width < _THICK:
         return region.pixels
     inner = cv2.erode(region.mask, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
-    return np.argwhere(inner)[:, ::-1].astype(np.int32)
+    return replace(region, mask=inner).pixels
 
 
 def _median(values: Array, cell: npt.NDArray[Any]) -> Array:

@@ -1,4 +1,4 @@
-"""A cloud's points gathered into cubes, how the cubes are connected, and the measures of the cloud as a rope."""
+"""A cloud's points gathered into cubes, and how the cubes are connected."""
 
 from __future__ import annotations
 
@@ -24,16 +24,6 @@ _LINK: Final = 2.0  # edges: diagonal neighbours are linked, and across a voxel 
 # Of the cloud's extent: voxels are neither finer nor coarser.
 _FINEST: Final = 1e-3
 _COARSEST: Final = 1 / 8
-# So many points stand for all, and neighbourhoods of so many are looked at: both estimates vary by a few percent.
-_POINTS: Final = 1500
-_SEEDS: Final = 32
-# Neighbourhoods grow from a 64th of the cloud by steps of sqrt 2 until they are this many times longer than thick.
-_SMALLEST: Final = 1 / 64
-_RADIUS_GROWTH: Final = 2**0.5
-_STEPS: Final = 13
-_ELONGATED: Final = 2.2
-_CROSSING: Final = 3.0  # of the median spread: no neighbourhood counts as more
-_FEWEST: Final = 12  # points in a neighbourhood; the shape of fewer is chance
 
 
 def gather(points: Array, edge: float) -> tuple[Samples, Indices]:
@@ -125,59 +115,3 @@ def connect(points: Array, width: float) -> ConnectedVoxels:
         graph = graph[keep][:, keep]
     components = tuple(Piece(np.flatnonzero(label == k), float(mass[k])) for k in pieces)
     return ConnectedVoxels(points, cube, samples, graph, components)
-
-
-class Ribbon(NamedTuple):
-    """The measures of a cloud as a rope.
-
-    Args:
-        width: Metres; sqrt(12) times the rms spread across the local axis in the direction in which it is larger: a
-            flat ribbon's width. The short side of what is no rope.
-        spread_width: Metres; the same for the spread in both directions across.
-        length: Metres.
-    """
-
-    width: float
-    spread_width: float
-    length: float
-
-
-def measure(points: Array) -> Ribbon:
-    """Measure a cloud by local PCA at the smallest scale at which its neighbourhoods are elongated.
-
-    A neighbourhood smaller than the rope is thick is a ball; a much larger one sees the rope's bends. Length is the
-    mean, over points drawn from all, of the length of rope in a neighbourhood for each point in it, times the points.
-
-    Args:
-        points: ``(M, 3)`` metres.
-    """
-    draw = np.random.default_rng(0)
-    some = points if len(points) <= _POINTS else points[draw.integers(len(points), size=_POINTS)]
-    if len(some) < _FEWEST:
-        return Ribbon(0.0, 0.0, 0.0)
-    some = some - some.mean(axis=0)
-    seeds = some[draw.integers(len(some), size=_SEEDS)]
-    square = np.einsum("sd,sd->s", seeds, seeds)[:, None] + np.einsum("md,md->m", some, some) - 2 * seeds @ some.T
-    products = (some[:, :, None] * some[:, None, :]).reshape(-1, 9)
-    moments = np.concatenate([np.ones((len(some), 1)), some, products], axis=1)
-    radius = _SMALLEST * float(np.linalg.norm(np.ptp(some, axis=0)))
-    length = width = breadth = 0.0
-    for _ in range(_STEPS):
-        sums = (square <= radius**2).astype(np.float64) @ moments
-        sums = sums[sums[:, 0] >= _FEWEST]
-        if 2 * len(sums) >= _SEEDS:
-            count = sums[:, 0]
-            mean = sums[:, 1:4] / count[:, None]
-            spread = sums[:, 4:].reshape(-1, 3, 3) / count[:, None, None] - mean[:, :, None] * mean[:, None, :]
-            values = np.maximum(np.linalg.eigvalsh(spread)[:, ::-1] * (count / (count - 1))[:, None], 0.0)
-            length, width, breadth = (
-                float(np.sqrt(12 * np.median(value)))
-                for value in (values[:, 0], values[:, 1], values[:, 1:].sum(axis=1))
-            )
-            if length >= _ELONGATED * breadth:
-                half = np.sqrt(max(radius**2 - breadth**2 / 6, 0.0))
-                # A rope that grows wider along its length spreads by the mean of its squares; a crossing is no width.
-                square_mean = np.minimum(values[:, 1:].sum(axis=1), _CROSSING * breadth**2 / 12).mean()
-                return Ribbon(width, float(np.sqrt(12 * square_mean)), float(len(some) * np.mean(2 * half / count)))
-        radius *= _RADIUS_GROWTH
-    return Ribbon(width, breadth, length)
