@@ -17,10 +17,11 @@ from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.outline import material_outline
 from shape_obs.geometry.polyline import arc_length, interpolate
 from shape_obs.geometry.topology import Grid
+from shape_obs.image.connected_runs import gather_cells
 from shape_obs.image.region import Region
 from shape_obs.point_cloud.local_pca import moments_within
 from shape_obs.tracking.isometry import folded_reason
-from shape_obs.tracking.measure_lattice import even_inside, patch_in_cloud
+from shape_obs.tracking.measure_lattice import CELL, even_inside, patch_in_cloud
 from shape_obs.tracking.model import LatticeModel
 from shape_obs.tracking.predict import Before, Fit, Prediction, Track, known_before
 from shape_obs.tracking.register_lattice import first_corner
@@ -98,13 +99,16 @@ class Surface(Configuration, kind="surface"):
         folded = "" if found.flat else folded_reason(found.folded)
         gauges = found.down, found.right
         form = FittedLattice(found.nodes, found.hidden, gauges, FINE, off=found.off, ambiguity=folded)
+        if self.epochs:
+            samples = observed.gather(CELL)
+            form = form.with_points(even_inside(form.points, samples.points, samples.weight, self.epochs))
         track = Track(found.state, found.nodes, found.velocity, _GRID, reference=found.reference)
         return Fit(form, found.quality, folded if prediction is None else "", track, observed, found.width)
 
     def _step(self, image: InMask, cloud: InCloud, target: Array | None, before: Before) -> SheetStep:
         """Follow the sheet into this frame, in one compiled call."""
         target, size = NO_VALUES if target is None else target, (self.rows, self.cols)
-        return step_sheet(image, cloud, size, self.freedom, self.epochs, target, before, self.model.record)
+        return step_sheet(image, cloud, size, self.freedom, target, before, self.model.record)
 
     def _step_in_cloud(
         self, cloud: Cloud, prediction: Prediction | None, target: Array | None, before: Before, scene: Scene
@@ -112,7 +116,7 @@ class Surface(Configuration, kind="surface"):
         """Follow a sheet that is unrolled: its corners are nearest to those predicted, or else the best, if any."""
         nodes = np.empty((0, 3)) if prediction is None else prediction.nodes
         outline, flat = (np.ascontiguousarray(each, dtype=np.float64) for each in cloud.sheet_outline())
-        region, samples, found = cloud.parts[-1], cloud.samples, None
+        region, found = cloud.parts[-1], None
         image = scene.in_mask(region) if isinstance(region, Region) else NO_MASK  # that it was seen in
         for best in (False, True) if prediction is not None else (True,):
             patch, kink, measures = patch_in_cloud(outline, flat, nodes, best)
@@ -120,8 +124,6 @@ class Surface(Configuration, kind="surface"):
             if not len(patch):
                 continue
             lattice = np.ascontiguousarray(cloud.to_space(patch), dtype=np.float64)
-            if self.epochs:
-                lattice = even_inside(lattice, samples.points, samples.weight, self.epochs)
             seen = np.ascontiguousarray(cloud.seen(lattice, target), dtype=np.float64)
             measured = lattice, cloud.carries(lattice), seen, kink, measures, cloud.resolution
             found = self._step(image, measured, target, before)
@@ -169,4 +171,4 @@ class Surface(Configuration, kind="surface"):
     @property
     def compiled_functions(self) -> tuple[Any, ...]:
         """The compiled functions that a fit may call."""
-        return (*_COMPILED, even_inside) if self.epochs else _COMPILED
+        return (*_COMPILED, even_inside, gather_cells) if self.epochs else _COMPILED

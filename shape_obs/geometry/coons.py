@@ -178,14 +178,15 @@ def corners_of(nodes: Array) -> Array:
 
 
 @compiled
-def turned_places(quarters: int) -> Indices:
-    """Return ``(625,)`` the nodes of a lattice, row by row, that begins ``quarters`` corners further on, clockwise."""
-    places = np.arange(FINE * FINE)
+def turned(lattice: Array, quarters: int) -> Array:
+    """Return a lattice ``(625, D)`` that begins ``quarters`` corners further on, clockwise."""
+    out = lattice.copy()
     for _ in range(quarters):
-        before = places.copy()
-        for p in range(len(places)):
-            places[p] = before[p % FINE * FINE + FINE - 1 - p // FINE]
-    return places
+        before = out.copy()
+        for p in range(len(out)):
+            for d in range(out.shape[1]):
+                out[p, d] = before[p % FINE * FINE + FINE - 1 - p // FINE, d]
+    return out
 
 
 @compiled

@@ -23,18 +23,18 @@ from shape_obs.geometry.coons import (
     corners_of,
     side_lengths,
     sides_of,
-    turned_places,
+    turned,
 )
 from shape_obs.geometry.lattice import assess_lattice, lattice_gauges
 from shape_obs.geometry.outline import SAMPLED, material_outline
 from shape_obs.geometry.polyline import arc_length, closed
 from shape_obs.geometry.rotation import flattened
-from shape_obs.image.connected_runs import gather_cells, near_mask
+from shape_obs.image.connected_runs import near_mask
 from shape_obs.image.over_under import depth_at
 from shape_obs.initialization.corners import sheet_outline
 from shape_obs.tracking.complete_lattice import complete_border, hide_folded, outline_depth
 from shape_obs.tracking.isometry import Measures, flatness, isometry
-from shape_obs.tracking.measure_lattice import CELL, UNBENT, even_inside, numbered_corners, turns_within
+from shape_obs.tracking.measure_lattice import UNBENT, numbered_corners, turns_within
 from shape_obs.tracking.measure_ring import MIN_SAMPLES, trace_border
 from shape_obs.tracking.model import LatticeConstants, Model  # noqa: F401 - the first in signatures
 from shape_obs.tracking.predict import BEFORE_TYPE, NO_NODES, Before, advance, counted, predict
@@ -116,11 +116,11 @@ class SheetStep(NamedTuple):
 
 
 @compiled(
-    f"({MASK_TYPE}, {_CLOUD_TYPE}, UniTuple(i8, 2), f8, i8, f8[::1], {BEFORE_TYPE.format('ShapeState')}, "
+    f"({MASK_TYPE}, {_CLOUD_TYPE}, UniTuple(i8, 2), f8, f8[::1], {BEFORE_TYPE.format('ShapeState')}, "
     "LatticeConstants[::1])"
 )
 def step_sheet(
-    image: InMask, cloud: InCloud, size: tuple[int, int], freedom: float, epochs: int, target: Array, before: Before,
+    image: InMask, cloud: InCloud, size: tuple[int, int], freedom: float, target: Array, before: Before,
     model: Model,
 ) -> SheetStep:  # fmt: skip
     """Follow a sheet into a frame, or find it there: predict, measure, register and complete it.
@@ -130,12 +130,11 @@ def step_sheet(
         cloud: The cloud; ``NO_CLOUD`` if there is none.
         size: Rows and columns of points that are asked for.
         freedom: How far a corner may move that the others do not, see ``judge_sheet``.
-        epochs: Of the map that evens out its inside.
         target: Where the first corner belongs in a first frame, see ``first_corner``.
         before: The track; without nodes in a first frame.
         model: ``(1,)`` the constants.
     """
-    mask, runs, _, window, box, _, depth, lens = image
+    mask, _, _, window, box, _, depth, lens = image
     constants, nothing, width = model[0], lens[:0], 0.0
     was, last, speed, _, _, _, stamp, _, _ = before
     seconds = stamp - was[0].stamp
@@ -152,15 +151,10 @@ def step_sheet(
     off, folded = nothing, (0.0, 0.0, 0.0, 0.0)
     if fault[0] != NO_FAULT:
         return SheetStep(fault, quality, state, nodes, nodes, known, hidden, down, right, off, folded, flat, width)
-    if epochs > 0 and len(cloud[0]) == 0:
-        points, weight = gather_cells(runs, CELL)
-        nodes = even_inside(nodes, points, weight, epochs)
-        seen = nodes
     quarters = first_corner(seen, target) if len(last) == 0 else 0
     if quarters > 0:
-        turn = turned_places(quarters)
-        nodes, hidden = nodes[turn], hidden[turn]
-        known = known[turn] if len(known) > 0 else known
+        nodes, hidden = turned(nodes, quarters), turned(hidden.reshape(len(hidden), 1), quarters).reshape(len(hidden))
+        known = turned(known, quarters)
     down, right = lattice_gauges(nodes.reshape(FINE, FINE, nodes.shape[1]))
 
     off, gap, folded = isometry(nodes, hidden, depth, mask, window[:2], lens, size[0], size[1], constants)
@@ -320,8 +314,9 @@ def _find_in_cloud(cloud: InCloud, nodes: Array, freedom: float, before: Before,
     fault, quality = judge_sheet(np.count_nonzero(hidden) / len(hidden), measures, kink, 0, 0.0, freedom, model)
     if len(nodes) > 0:
         quarters, _, _ = match_corners(corners_of(nodes), corners_of(lattice))
-        turn, found, sides, tolerance = turned_places(quarters), np.empty(4), was[0].sides.copy(), np.empty(4)
-        lattice, hidden = lattice[turn], hidden[turn]
+        found, sides, tolerance = np.empty(4), was[0].sides.copy(), np.empty(4)
+        lattice = turned(lattice, quarters)
+        hidden = turned(hidden.reshape(len(hidden), 1), quarters).reshape(len(hidden))
         for k in range(4):
             found[k] = lengths[(k + quarters) % 4]
             tolerance[k] = max(constants.length_tolerance[1] * sides[k], constants.border_noise * resolution)
