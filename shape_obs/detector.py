@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
-from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -22,7 +21,7 @@ from shape_obs.configurations.base import Configuration
 from shape_obs.configurations.shape_points import SHAPE_FUNCTIONS
 from shape_obs.frame import Frame, depth_images
 from shape_obs.geometry.crossings import Crossing
-from shape_obs.geometry.intersections import find_crossings
+from shape_obs.geometry.intersections import crossings_of
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import nearest_along
 from shape_obs.image.find_region import prepare
@@ -254,7 +253,7 @@ class ShapeDetector:
         if not strands:
             return shapes, ()
         names, (curves, widths) = list(strands), zip(*strands.values(), strict=True)
-        crossings = find_crossings(curves, names)
+        crossings = crossings_of(curves, names)
         if crossings:
             crossings = find_layers(crossings, curves, names, widths, depth_images(frame.depth), frame.rgb)
             trackers = {each.spec.name: each for each in self._trackers}
@@ -309,9 +308,10 @@ def _timings(laps: list[tuple[str, float]]) -> dict[str, float]:
     Args:
         laps: Stages and when they ended, seconds, from the beginning on; what belongs to none has no name.
     """
-    timings: dict[str, float] = {}
-    for (_, before), (stage, now) in pairwise(laps):
+    timings, before = dict[str, float](), laps[0][1]
+    for stage, now in laps:
         if stage:
             timings[stage] = timings.get(stage, 0.0) + 1e3 * (now - before)
-    timings["total"] = 1e3 * (laps[-1][1] - laps[0][1])
+        before = now
+    timings["total"] = 1e3 * (before - laps[0][1])
     return timings

@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 from shape_obs.camera import CameraModel, as_camera_model
 from shape_obs.compiled import compiled
-from shape_obs.utils.array_like import plain_array
 from shape_obs.utils.image_layout import advice, apply, is_depth, steps_to_depth, steps_to_rgb
 
 MILLIMETRE: Final = 1e-3  # metres; the unit of depth in whole numbers
@@ -119,6 +118,46 @@ def depth_in_metres(depth: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     metres = depth.astype(np.float64) * (MILLIMETRE if depth.dtype.kind in "iu" else 1.0)
     metres[~((metres > 0) & (metres < FARTHEST))] = np.nan
     return metres
+
+
+def plain_array(value: Any, name: str, masked: float | None = None) -> Any:
+    """Return the numbers of an array-like as a plain array in the machine's byte order; itself if it is one.
+
+    What is no array-like, such as a list, is returned as it is.
+
+    Args:
+        value: Such as a ``numpy.ma.MaskedArray``, a tensor on the CPU, a PIL image or an xarray.
+        name: What error messages call it.
+        masked: The value that masked entries get; None refuses a mask that hides any.
+
+    Raises:
+        TypeError: Its numbers cannot be read, or carry a unit.
+        ValueError: Its mask cannot be honoured.
+    """
+    if type(value) is np.ndarray and value.dtype.isnative:
+        return value
+    if hasattr(value, "get_data") and not hasattr(value, "__array__"):
+        units = " * frame.get_units()" if hasattr(value, "get_units") else ""
+        raise TypeError(f"{name}: got a frame of librealsense; give np.asanyarray(frame.get_data()){units}.")
+    unit = getattr(value, "units", None) or getattr(value, "unit", None)
+    if unit is not None and hasattr(value, "__array__"):
+        raise TypeError(f"{name}: the array carries the unit {unit}: convert it, and give its bare numbers.")
+    if isinstance(value, np.ma.MaskedArray):
+        if masked is not None:
+            return plain_array(value.filled(masked), name)
+        if np.ma.is_masked(value):
+            raise ValueError(
+                f"{name}: the mask of this masked array would be ignored; give its .data, and mask the object "
+                "with a segmentation function or detect_mask."
+            )
+        value = value.data
+    if not hasattr(value, "__array__") and not hasattr(value, "__array_interface__"):
+        return value
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError, RuntimeError) as error:  # a tensor on a GPU, or one with a gradient
+        raise TypeError(f"{name}: this {type(value).__name__} cannot be read as a NumPy array: {error}") from error
+    return array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("="))
 
 
 def _checked_rgb(given: Any) -> npt.NDArray[np.uint8]:

@@ -36,21 +36,23 @@ def find_crossings(curves: Sequence[npt.ArrayLike], names: Sequence[str] | None 
     Raises:
         ValueError: A curve is not finite or not ``(P, 2)``, or ``names`` has another length.
     """
-    names = [str(k) for k in range(len(curves))] if names is None else names
-    if len(names) != len(curves):
-        raise ValueError(f"names: expected {len(curves)}, one for each curve, got {len(names)}.")
-    lines, starts = [], [0]
-    for name, curve in zip(names, curves, strict=True):
-        line = np.asarray(curve, dtype=np.float64)
+    lines = [np.ascontiguousarray(curve, dtype=np.float64) for curve in curves]
+    names = [str(k) for k in range(len(lines))] if names is None else names
+    if len(names) != len(lines):
+        raise ValueError(f"names: expected {len(lines)}, one for each curve, got {len(names)}.")
+    for name, line in zip(names, lines, strict=True):
         if line.ndim != 2 or line.shape[1] != 2 or not np.isfinite(line).all():
             raise ValueError(f"curve {name!r} must be finite, of shape (P, 2), got shape {line.shape}.")
-        lines.append(line)
+    return crossings_of(lines, names) if lines else ()
+
+
+def crossings_of(lines: Sequence[Array], names: Sequence[str]) -> tuple[Crossing, ...]:
+    """Return what ``find_crossings`` does, of at least one curve, finite and stored row by row."""
+    starts, found = [0], []
+    for line in lines:
         starts.append(starts[-1] + len(line))
-    if not lines:
-        return ()
-    rows = crossing_table(np.ascontiguousarray(np.concatenate(lines)), np.array(starts, np.int64)).tolist()
-    found = []
-    for i, first, j, second, u, v, hand in sorted(rows):
+    table = crossing_table(np.concatenate(lines), np.array(starts, np.int64))
+    for i, first, j, second, u, v, hand in sorted(table.tolist()):
         found.append(Crossing((names[int(i)], names[int(j)]), (first, second), (u, v), None, int(hand)))
     return tuple(found)
 

@@ -49,11 +49,11 @@ def predict_search_window(tracks: list[Track | None], spare: int, whole: Window)
     for track in tracks:
         if track is None:
             return None
-        x, y, width, height = track.state["box"][0].tolist()
-        if not width or (isinstance(track.topology, Chain) and track.state["hides"][0]):
+        state, (x, y, width, height) = track.state, track.state["box"][0].tolist()
+        if not width or (isinstance(track.topology, Chain) and state["hides"][0]):
             return None
-        around = spare + _SPARE + int(track.state["box_motion"][0])
-        left, top, thinnest = min(left, x - around), min(top, y - around), min(thinnest, track.width)
+        around, thinnest = spare + _SPARE + int(state["box_motion"][0]), min(thinnest, float(state["width"][0]))
+        left, top = min(left, x - around), min(top, y - around)
         right, bottom = max(right, x + width + around), max(bottom, y + height + around)
     left, right = max(left // 8 * 8, whole.left), min(-(-right // 8) * 8, whole.left + whole.width)
     top, bottom = max(top, whole.top), min(bottom, whole.top + whole.height)

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from shape_obs.frame import plain_array
 from shape_obs.spec import did_you_mean
-from shape_obs.utils.array_like import plain_array
 from shape_obs.utils.image_layout import Step, is_depth, shape_after, steps_to_depth, steps_to_rgb
 
 #: A key of an observation, or the keys on the way to an image in a Dict within a Dict: ``"images/rgb"`` as well.
