@@ -226,13 +226,14 @@ class ShapeDetector:
         size = (frame.size or (0, 0)) if mask is None else (mask.shape[0], mask.shape[1])
         edge = search = None
         if roi is not None:
-            edge, tracks = roi.window(size), dict[Segmentation | None, list[Track | None]]()
+            edge = roi.window(size)
+            tracks: dict[Segmentation | None, list[Track | None]] = {}
             for each in self._trackers:
                 tracks.setdefault(each.spec.segmentation, []).append(each.track)
             search = RegionSearch(frame, mask, roi, edge, tracks, self._frames % _SEARCH_ALL == 0)
         self._clock.tick(frame.stamp)
         scene = Scene.in_image(frame, self._clock, size, edge, anchors)
-        shapes, more = list[Shape](), dict[str, int]()
+        shapes, more = [], {}
         laps.append(("", time.perf_counter()))
         for followed in self._followed:
             if search is None:
@@ -249,17 +250,20 @@ class ShapeDetector:
 
     def _cross(self, shapes: list[Shape], frame: Frame) -> tuple[list[Shape], tuple[Crossing, ...]]:
         """Find where ropes cross, and which one is above; return the shapes with their crossings, and all of them."""
-        strands = {each.spec.name: each.strand for each in self._trackers if each.strand is not None}
-        if not strands:
-            return shapes, ()
-        names, (curves, widths) = list(strands), zip(*strands.values(), strict=True)
-        crossings = crossings_of(curves, names)
+        ropes: dict[str, Tracker] = {}
+        curves, widths = [], []
+        for each in self._trackers:
+            if each.strand is not None:
+                ropes[each.spec.name] = each
+                curves.append(each.strand[0])
+                widths.append(each.strand[1])
+        names = list(ropes)
+        crossings = crossings_of(curves, names) if curves else ()
         if crossings:
             crossings = find_layers(crossings, curves, names, widths, depth_images(frame.depth), frame.rgb)
-            trackers = {each.spec.name: each for each in self._trackers}
             for k, shape in enumerate(shapes):
                 if own := tuple(each for each in crossings if shape.name in each.slots):
-                    shapes[k] = trackers[shape.name].cross(shape, own)
+                    shapes[k] = ropes[shape.name].cross(shape, own)
         return shapes, crossings
 
     def _explained(self, region: Region, followed: Tracker | Slots, search: RegionSearch) -> Region:
@@ -308,7 +312,8 @@ def _timings(laps: list[tuple[str, float]]) -> dict[str, float]:
     Args:
         laps: Stages and when they ended, seconds, from the beginning on; what belongs to none has no name.
     """
-    timings, before = dict[str, float](), laps[0][1]
+    timings: dict[str, float] = {}
+    before = laps[0][1]
     for stage, now in laps:
         if stage:
             timings[stage] = timings.get(stage, 0.0) + 1e3 * (now - before)

@@ -84,7 +84,8 @@ class Frame:
             raise TypeError(f"stamp must be a number of seconds, got {stamp!r}.")
         if stamp is not None and not math.isfinite(stamp):
             raise ValueError(f"stamp must be a finite number of seconds, got {stamp}.")
-        vars(self).update(rgb=rgb, depth=depth, camera=camera, stamp=stamp, size=size)
+        for name, value in (("rgb", rgb), ("depth", depth), ("camera", camera), ("stamp", stamp), ("size", size)):
+            object.__setattr__(self, name, value)
 
 
 def depth_images(depth: npt.NDArray[Any] | None) -> DepthImages:

@@ -48,13 +48,16 @@ def find_crossings(curves: Sequence[npt.ArrayLike], names: Sequence[str] | None 
 
 def crossings_of(lines: Sequence[Array], names: Sequence[str]) -> tuple[Crossing, ...]:
     """Return what ``find_crossings`` does, of at least one curve, finite and stored row by row."""
-    starts, found = [0], []
+    starts = [0]
     for line in lines:
         starts.append(starts[-1] + len(line))
-    table = crossing_table(np.concatenate(lines), np.array(starts, np.int64))
-    for i, first, j, second, u, v, hand in sorted(table.tolist()):
-        found.append(Crossing((names[int(i)], names[int(j)]), (first, second), (u, v), None, int(hand)))
-    return tuple(found)
+    table = crossing_table(lines[0] if len(lines) == 1 else np.concatenate(lines), np.array(starts, np.int64))
+    if not len(table):
+        return ()
+    return tuple(
+        Crossing((names[int(i)], names[int(j)]), (first, second), (u, v), None, int(hand))
+        for i, first, j, second, u, v, hand in sorted(table.tolist())
+    )
 
 
 @compiled("(f8[:,::1], i8[::1])")

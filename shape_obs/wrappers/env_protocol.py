@@ -171,7 +171,8 @@ class EnvClock:
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step the env, and return what it returned."""
-        calls, replaced = list[str](), []
+        calls: list[str] = []
+        replaced = []
         for env, name in ((self._timed, "step"), (self._env.unwrapped, "reset")):
             replaced.append((env, name, vars(env).get(name)))
             setattr(env, name, partial(_noted, calls, name, getattr(env, name)))
