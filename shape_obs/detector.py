@@ -19,9 +19,9 @@ from shape_obs.compiled import compile_now
 from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.configurations.base import Configuration
 from shape_obs.configurations.shape_points import SHAPE_FUNCTIONS
-from shape_obs.frame import Frame
+from shape_obs.frame import Frame, depth_images
 from shape_obs.geometry.crossings import Crossing
-from shape_obs.geometry.intersections import crossing_table, find_crossings, joined
+from shape_obs.geometry.intersections import crossings_of
 from shape_obs.geometry.observed import Observed
 from shape_obs.geometry.polyline import nearest_along
 from shape_obs.image.find_region import prepare
@@ -35,7 +35,7 @@ from shape_obs.shape import Detection, Shape
 from shape_obs.slots import SLOT_FUNCTIONS, Slots
 from shape_obs.tracker import Tracker
 from shape_obs.tracking.clock import Clock
-from shape_obs.tracking.predict import Fit
+from shape_obs.tracking.predict import Fit, Track
 from shape_obs.tracking.scene import Anchors, Scene
 from shape_obs.tracking.search_window import RegionSearch
 from shape_obs.tracking.speed_gate import TRACK_FUNCTIONS
@@ -97,7 +97,8 @@ class ShapeDetector:
         compile_now(functions)
         if any(spec.lift == "cloud" for spec in self.shapes):
             import_module("shape_obs.point_cloud.deprojection")  # so that the first frame does not wait for it
-        self._units, self._hints, self._clock = UnitCheck(), MaskHints(), Clock(self.config.dt)
+        self._units, self._clock = UnitCheck(), Clock(self.config.dt)
+        self._hints = MaskHints(spec.segmentation for spec in self.shapes)
         self.reset()
 
     def reset(self) -> None:
@@ -108,7 +109,7 @@ class ShapeDetector:
         self._trackers = [tracker for followed in self._followed for tracker in followed.trackers]
         self._units.reset()
         self._clock.reset()
-        self._hints = MaskHints(self._hints.looked)
+        self._hints = MaskHints(self._hints.reds)
         self._roi_memory: Any = None  # what a region of interest that moves remembers
         self._frames = 0
 
@@ -196,7 +197,7 @@ class ShapeDetector:
         frame, cloud = Frame(None, None, camera, stamp), read_cloud(points)
         if self._units.pending:
             self._units.look_at_cloud(cloud.points)
-        now = _lap(timings := {}, "cloud", begin)
+        laps = [("", begin), ("cloud", time.perf_counter())]
         self._clock.tick(frame.stamp)
         intrinsics, shapes = None if frame.camera is None else frame.camera.intrinsics, []
         scene = Scene(frame, self._clock, anchors, in_2d=False, in_3d=True, intrinsics=intrinsics)
@@ -204,60 +205,65 @@ class ShapeDetector:
             if isinstance(tracker, Slots):
                 raise ValueError(f"shape {tracker.spec.name!r}: a cloud is of one object; count= needs an image.")
             found = tracker.fit(cloud, scene)
-            now = _lap(timings, "fit", now)
+            laps.append(("fit", time.perf_counter()))
             shapes.append(tracker.finish(found, scene))
-            now = _lap(timings, "lift", now)
-        _lap(timings, "total", begin)
-        return Detection(tuple(shapes), self._clock.stamp, timings, self._clock.warning)
+            laps.append(("lift", time.perf_counter()))
+        return Detection(tuple(shapes), self._clock.stamp, _timings(laps), self._clock.warning)
 
     def _detect_in_image(
         self, frame: Frame, mask: npt.NDArray[np.uint8] | None, anchors: Anchors, begin: float
     ) -> Detection:
         """Find each shape in its mask, or in the cloud under it."""
-        with_depth, timings = frame.depth is not None and frame.camera is not None, dict[str, float]()
-        if not with_depth:
+        if frame.depth is None or frame.camera is None:
             for spec in self.shapes:
                 spec.check_without_depth()
-        roi, reason = self.config.roi, ""
+        roi, reason, laps = self.config.roi, "", [("", begin)]
         if type(roi).place is not ROI.place:
-            now = time.perf_counter()
+            laps.append(("", time.perf_counter()))
             roi, self._roi_memory, reason = roi.place(frame.rgb, self._roi_memory)
-            _lap(timings, "roi", now)
+            laps.append(("roi", time.perf_counter()))
         self._frames += 1
-        search = None
-        if roi is not None:
-            tracks = {each.spec.name: each.track for each in self._trackers if each.track is not None}
-            search = RegionSearch(frame, mask, roi, self.shapes, tracks, self._frames % _SEARCH_ALL == 0)
-        self._clock.tick(frame.stamp)
         size = (frame.size or (0, 0)) if mask is None else (mask.shape[0], mask.shape[1])
-        edge, shapes = None if search is None else search.whole, []
+        edge = search = None
+        if roi is not None:
+            edge = roi.window(size)
+            tracks: dict[Segmentation | None, list[Track | None]] = {}
+            for each in self._trackers:
+                tracks.setdefault(each.spec.segmentation, []).append(each.track)
+            search = RegionSearch(frame, mask, roi, edge, tracks, self._frames % _SEARCH_ALL == 0)
+        self._clock.tick(frame.stamp)
         scene = Scene.in_image(frame, self._clock, size, edge, anchors)
+        shapes, more = [], {}
+        laps.append(("", time.perf_counter()))
         for followed in self._followed:
             if search is None:
                 shapes += [tracker.finish(Fit(reason=reason), scene) for tracker in followed.trackers]
             else:
-                shapes += self._find(followed, search, scene, timings)
+                shapes += self._find(followed, search, scene, laps)
+            if isinstance(followed, Slots) and followed.more:
+                more[followed.spec.name] = followed.more
         if self._units.pending and frame.depth is not None and search is not None:
             self._units.look_at_depth(search.regions.values(), frame.depth)
         shapes, crossings = self._cross(shapes, frame)
-        _lap(timings, "total", begin)
-        more = {each.spec.name: each.more for each in self._followed if isinstance(each, Slots) and each.more}
-        return Detection(tuple(shapes), self._clock.stamp, timings, self._clock.warning, more, crossings)
+        laps.append(("", time.perf_counter()))
+        return Detection(tuple(shapes), self._clock.stamp, _timings(laps), self._clock.warning, more, crossings)
 
     def _cross(self, shapes: list[Shape], frame: Frame) -> tuple[list[Shape], tuple[Crossing, ...]]:
         """Find where ropes cross, and which one is above; return the shapes with their crossings, and all of them."""
-        followed = [tracker for tracker in self._trackers if tracker.strand is not None]
-        curves = [tracker.strand[0] for tracker in followed if tracker.strand is not None]
-        if not curves or not len(crossing_table(*joined(curves))):
-            return shapes, ()
-        names = [tracker.spec.name for tracker in followed]
-        widths = [tracker.strand[1] for tracker in followed if tracker.strand is not None]
-        crossings = find_crossings(curves, names)
-        crossings = find_layers(crossings, curves, names, widths, frame.images, frame.rgb)
-        for k, shape in enumerate(shapes):
-            own = tuple(each for each in crossings if shape.name in each.slots)
-            if own and shape.name in names:
-                shapes[k] = followed[names.index(shape.name)].cross(shape, own)
+        ropes: dict[str, Tracker] = {}
+        curves, widths = [], []
+        for each in self._trackers:
+            if each.strand is not None:
+                ropes[each.spec.name] = each
+                curves.append(each.strand[0])
+                widths.append(each.strand[1])
+        names = list(ropes)
+        crossings = crossings_of(curves, names) if curves else ()
+        if crossings:
+            crossings = find_layers(crossings, curves, names, widths, depth_images(frame.depth), frame.rgb)
+            for k, shape in enumerate(shapes):
+                if own := tuple(each for each in crossings if shape.name in each.slots):
+                    shapes[k] = ropes[shape.name].cross(shape, own)
         return shapes, crossings
 
     def _explained(self, region: Region, followed: Tracker | Slots, search: RegionSearch) -> Region:
@@ -269,40 +275,48 @@ class ShapeDetector:
         return self._hints.explained(region, rule, search.frame, mask, search.roi, self._frames)
 
     def _find(
-        self, followed: Tracker | Slots, search: RegionSearch, scene: Scene, timings: dict[str, float]
+        self, followed: Tracker | Slots, search: RegionSearch, scene: Scene, laps: list[tuple[str, float]]
     ) -> list[Shape]:
         """Find a shape, or several in one mask: near where the tracks expect them, and if that fails everywhere."""
-        now, spec = time.perf_counter(), followed.spec
-        rule = spec.segmentation
+        rule, lift = followed.spec.segmentation, followed.spec.lift
         while True:
             region = search.region(rule)  # image -> region
             if region.refusal:
                 region = self._explained(region, followed, search)
-            elif search.mask is None:
-                self._hints.look_at(rule, scene.frame)
-            now = _lap(timings, "segmentation" if search.mask is None else "region", now)
+            elif search.mask is None and self._hints.reds:
+                self._hints.look_at_red(rule, scene.frame)
+            laps.append(("segmentation" if search.mask is None else "region", time.perf_counter()))
             if isinstance(followed, Slots):
                 tries = followed.attempt(region, scene)
-                now = _lap(timings, "fit", now)
+                laps.append(("fit", time.perf_counter()))
                 if all(each is not None and each.is_found for each in tries) or not search.widen(rule):
                     shapes = followed.accept(tries, scene)
                     break
                 continue
             observed: Observed = region
-            if spec.lift == "cloud" and not (region.refusal and not followed.was_found):
+            if lift == "cloud" and not (region.refusal and not followed.was_found):
                 observed = search.cloud(rule)  # depth enters: region -> cloud
-                now = _lap(timings, "cloud", now)
+                laps.append(("cloud", time.perf_counter()))
             found = followed.fit(observed, scene)  # -> form, matched and validated
-            now = _lap(timings, "fit", now)
+            laps.append(("fit", time.perf_counter()))
             if not found.reason or found.follow or not search.widen(rule):
                 shapes = [followed.finish(found, scene)]
                 break
-        _lap(timings, "lift", now)
+        laps.append(("lift", time.perf_counter()))
         return shapes
 
 
-def _lap(timings: dict[str, float], stage: str, since: float) -> float:
-    """Add the milliseconds since a time to a stage; return the time now."""
-    now = time.perf_counter()
-    timings[stage] = timings.get(stage, 0.0) + 1e3 * (now - since)
-    return now
+def _timings(laps: list[tuple[str, float]]) -> dict[str, float]:
+    """Return the milliseconds of each stage, and of all together.
+
+    Args:
+        laps: Stages and when they ended, seconds, from the beginning on; what belongs to none has no name.
+    """
+    timings: dict[str, float] = {}
+    before = laps[0][1]
+    for stage, now in laps:
+        if stage:
+            timings[stage] = timings.get(stage, 0.0) + 1e3 * (now - before)
+        before = now
+    timings["total"] = 1e3 * (before - laps[0][1])
+    return timings

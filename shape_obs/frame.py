@@ -6,7 +6,6 @@ import math
 import numbers
 from dataclasses import dataclass, field
 from datetime import timedelta
-from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -14,7 +13,6 @@ import numpy.typing as npt
 
 from shape_obs.camera import CameraModel, as_camera_model
 from shape_obs.compiled import compiled
-from shape_obs.utils.array_like import plain_array
 from shape_obs.utils.image_layout import advice, apply, is_depth, steps_to_depth, steps_to_rgb
 
 MILLIMETRE: Final = 1e-3  # metres; the unit of depth in whole numbers
@@ -47,7 +45,6 @@ class Frame:
 
     Attributes:
         size: ``(H, W)`` of rgb and depth, pixels; None without either.
-        images: The depth as compiled code reads it, see ``depth_images``.
 
     Raises:
         TypeError: A wrong array type or dtype.
@@ -64,56 +61,44 @@ class Frame:
     size: tuple[int, int] | None = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        rgb, depth, stamp = self.rgb, self.depth, self.stamp
-        if rgb is not None:
-            rgb = _checked_rgb(rgb)
-            object.__setattr__(self, "rgb", rgb)
-        if depth is not None:
-            depth = _checked_depth(depth)
-            object.__setattr__(self, "depth", depth)
-            if rgb is not None and depth.shape != rgb.shape[:2]:
-                raise ValueError(
-                    f"depth has {_size(depth)}, rgb has {_size(rgb)}: "
-                    "give depth aligned to the colour image (rs.align, or render both with one camera)."
-                )
+        rgb = None if self.rgb is None else _checked_rgb(self.rgb)
+        depth = None if self.depth is None else _checked_depth(self.depth)
+        if rgb is not None and depth is not None and depth.shape != rgb.shape[:2]:
+            raise ValueError(
+                f"depth has {_size(depth)}, rgb has {_size(rgb)}: "
+                "give depth aligned to the colour image (rs.align, or render both with one camera)."
+            )
         image = rgb if rgb is not None else depth
-        size = None if image is None else (image.shape[0], image.shape[1])
-        object.__setattr__(self, "size", size)
-        camera = as_camera_model(self.camera, size)
-        object.__setattr__(self, "camera", camera)
+        size = None if image is None else image.shape[:2]
+        camera, stamp = as_camera_model(self.camera, size), self.stamp
         if camera is not None and image is not None:
             width, height = camera.intrinsics.width, camera.intrinsics.height
-            if (height, width) != image.shape[:2]:
+            if (height, width) != size:
                 raise ValueError(
-                    f"the camera's intrinsics are for {width} x {height} pixels, "
-                    f"the image has {image.shape[1]} x {image.shape[0]}: "
-                    "give the intrinsics of this stream."
+                    f"the camera's intrinsics are for {width} x {height} pixels, the image has "
+                    f"{image.shape[1]} x {image.shape[0]}: give the intrinsics of this stream."
                 )
         if isinstance(stamp, (timedelta, np.timedelta64)):
             stamp = float(np.timedelta64(stamp) / np.timedelta64(1, "s"))
-            object.__setattr__(self, "stamp", stamp)
         if stamp is not None and not isinstance(stamp, numbers.Real):
             raise TypeError(f"stamp must be a number of seconds, got {stamp!r}.")
         if stamp is not None and not math.isfinite(stamp):
             raise ValueError(f"stamp must be a finite number of seconds, got {stamp}.")
-
-    @cached_property
-    def images(self) -> DepthImages:
-        """The depth as compiled code reads it, see ``depth_images``."""
-        return depth_images(self.depth)
+        for name, value in (("rgb", rgb), ("depth", depth), ("camera", camera), ("stamp", stamp), ("size", size)):
+            object.__setattr__(self, name, value)
 
 
 def depth_images(depth: npt.NDArray[Any] | None) -> DepthImages:
-    """Return depth as a pair of which one is empty, in millimetres or in metres: one type for compiled code.
+    """Return depth as compiled code reads it: a pair of images of one type, in millimetres and in metres, one empty.
 
     Args:
         depth: ``(H, W)`` uint16 or float32, as a frame holds it; None gives two that are empty.
     """
     if depth is None:
         return _NO_MILLIMETRES, _NO_DEPTH
-    stored = _as_stored(depth).view()
-    stored.flags.writeable = False
-    return (stored, _NO_DEPTH) if stored.dtype == _WORD else (_NO_MILLIMETRES, stored)
+    shown = depth.view()
+    shown.flags.writeable = False
+    return (shown, _NO_DEPTH) if shown.dtype == _WORD else (_NO_MILLIMETRES, shown)
 
 
 @compiled(inline=True)
@@ -129,21 +114,51 @@ def metres_at(depth: DepthImages, row: int, column: int) -> float:
     return millimetres[row, column] * MILLIMETRE if len(millimetres) > 0 else float(metric[row, column])
 
 
-def _as_stored(depth: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return depth as uint16 or float32, C-contiguous; itself if it is."""
-    if depth.dtype == np.int16:
-        depth = np.maximum(depth, 0).astype(_WORD)
-    if depth.dtype != _WORD and depth.dtype != _SINGLE:
-        with np.errstate(over="ignore"):  # what overflows becomes infinite, which is no depth
-            depth = depth.astype(np.float32)
-    return np.ascontiguousarray(depth)
-
-
 def depth_in_metres(depth: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     """Convert depth values to metres, NaN where invalid; for the few values that a stage reads, not for images."""
     metres = depth.astype(np.float64) * (MILLIMETRE if depth.dtype.kind in "iu" else 1.0)
     metres[~((metres > 0) & (metres < FARTHEST))] = np.nan
     return metres
+
+
+def plain_array(value: Any, name: str, masked: float | None = None) -> Any:
+    """Return the numbers of an array-like as a plain array in the machine's byte order; itself if it is one.
+
+    What is no array-like, such as a list, is returned as it is.
+
+    Args:
+        value: Such as a ``numpy.ma.MaskedArray``, a tensor on the CPU, a PIL image or an xarray.
+        name: What error messages call it.
+        masked: The value that masked entries get; None refuses a mask that hides any.
+
+    Raises:
+        TypeError: Its numbers cannot be read, or carry a unit.
+        ValueError: Its mask cannot be honoured.
+    """
+    if type(value) is np.ndarray and value.dtype.isnative:
+        return value
+    if hasattr(value, "get_data") and not hasattr(value, "__array__"):
+        units = " * frame.get_units()" if hasattr(value, "get_units") else ""
+        raise TypeError(f"{name}: got a frame of librealsense; give np.asanyarray(frame.get_data()){units}.")
+    unit = getattr(value, "units", None) or getattr(value, "unit", None)
+    if unit is not None and hasattr(value, "__array__"):
+        raise TypeError(f"{name}: the array carries the unit {unit}: convert it, and give its bare numbers.")
+    if isinstance(value, np.ma.MaskedArray):
+        if masked is not None:
+            return plain_array(value.filled(masked), name)
+        if np.ma.is_masked(value):
+            raise ValueError(
+                f"{name}: the mask of this masked array would be ignored; give its .data, and mask the object "
+                "with a segmentation function or detect_mask."
+            )
+        value = value.data
+    if not hasattr(value, "__array__") and not hasattr(value, "__array_interface__"):
+        return value
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError, RuntimeError) as error:  # a tensor on a GPU, or one with a gradient
+        raise TypeError(f"{name}: this {type(value).__name__} cannot be read as a NumPy array: {error}") from error
+    return array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("="))
 
 
 def _checked_rgb(given: Any) -> npt.NDArray[np.uint8]:
@@ -169,7 +184,12 @@ def _checked_depth(given: Any) -> npt.NDArray[Any]:
         if steps is None:
             raise ValueError(f"depth: expected shape (H, W), got {depth.shape}.")
         depth = apply(depth, steps)
-    return _as_stored(depth)
+    if depth.dtype == np.int16:
+        depth = np.maximum(depth, 0).astype(_WORD)
+    elif depth.dtype != _WORD and depth.dtype != _SINGLE:
+        with np.errstate(over="ignore"):  # what overflows becomes infinite, which is no depth
+            depth = depth.astype(np.float32)
+    return np.ascontiguousarray(depth)
 
 
 def _size(image: npt.NDArray[Any]) -> str:

@@ -97,7 +97,7 @@ def test_arrays_of_other_kinds_are_read(kind):
 def test_a_file_of_signed_depth_is_read_and_time_differences_are_seconds(tmp_path):
     np.save(tmp_path / "z.npy", np.array([[-1, 0, 750]], np.int16))
     frame = Frame(depth=read_depth(tmp_path / "z.npy"), stamp=np.timedelta64(2500, "ms"))  # pyright: ignore[reportArgumentType]
-    assert (frame.images[0].tolist(), frame.stamp) == ([[0, 0, 750]], 2.5)
+    assert (np.asarray(frame.depth).tolist(), frame.stamp) == ([[0, 0, 750]], 2.5)
     assert Frame(stamp=timedelta(seconds=2.5)).stamp == 2.5  # pyright: ignore[reportArgumentType]
 
 

@@ -36,29 +36,28 @@ def find_crossings(curves: Sequence[npt.ArrayLike], names: Sequence[str] | None 
     Raises:
         ValueError: A curve is not finite or not ``(P, 2)``, or ``names`` has another length.
     """
-    lines = [np.asarray(curve, dtype=np.float64) for curve in curves]
+    lines = [np.ascontiguousarray(curve, dtype=np.float64) for curve in curves]
     names = [str(k) for k in range(len(lines))] if names is None else names
     if len(names) != len(lines):
         raise ValueError(f"names: expected {len(lines)}, one for each curve, got {len(names)}.")
     for name, line in zip(names, lines, strict=True):
         if line.ndim != 2 or line.shape[1] != 2 or not np.isfinite(line).all():
             raise ValueError(f"curve {name!r} must be finite, of shape (P, 2), got shape {line.shape}.")
-    if not lines:
+    return crossings_of(lines, names) if lines else ()
+
+
+def crossings_of(lines: Sequence[Array], names: Sequence[str]) -> tuple[Crossing, ...]:
+    """Return what ``find_crossings`` does, of at least one curve, finite and stored row by row."""
+    starts = [0]
+    for line in lines:
+        starts.append(starts[-1] + len(line))
+    table = crossing_table(lines[0] if len(lines) == 1 else np.concatenate(lines), np.array(starts, np.int64))
+    if not len(table):
         return ()
-    rows = crossing_table(*joined(lines)).tolist()
     return tuple(
         Crossing((names[int(i)], names[int(j)]), (first, second), (u, v), None, int(hand))
-        for i, first, j, second, u, v, hand in sorted(rows)
+        for i, first, j, second, u, v, hand in sorted(table.tolist())
     )
-
-
-def joined(curves: Sequence[Array]) -> tuple[Array, Indices]:
-    """Return the points of all curves, one after the other, and where each begins, with the end."""
-    if len(curves) == 1:
-        return np.ascontiguousarray(curves[0]), np.array([0, len(curves[0])])
-    starts = np.zeros(len(curves) + 1, np.int64)
-    np.cumsum([len(curve) for curve in curves], out=starts[1:])
-    return np.ascontiguousarray(np.concatenate(curves)), starts
 
 
 @compiled("(f8[:,::1], i8[::1])")

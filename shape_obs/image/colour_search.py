@@ -12,6 +12,7 @@ from shape_obs.image.connected_runs import Components, find_components, shift
 from shape_obs.image.roi import Window
 
 Mask = npt.NDArray[np.uint8]
+Box = tuple[int, int, int, int]
 
 # Eight pixels in a row are a byte, the leftmost its lowest bit; here is the byte as eight bytes of a mask.
 _BITS: Final = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1, bitorder="little")
@@ -19,58 +20,14 @@ _SPREAD: Final = np.ascontiguousarray(_BITS * np.uint8(255)).view(np.uint64).rav
 _U = np.uint64  # unsigned indices are not checked for being negative
 
 
-def find_by_colour(
-    rgb: npt.NDArray[np.uint8],
-    window: Window,
-    table: npt.NDArray[np.uint64],
-    step: int,
-    min_area: int,
-    min_share: float,
-) -> Components:
-    """Find the plausible components of a colour without reading every pixel.
-
-    One pixel in ``step * step`` is looked at, in a lattice that lies fast in the image with every other row shifted
-    by half a step. Components that hold none of these are left out, so any object that a disc of diameter
-    1.25 * step + 1 fits into is found, and what is found is complete to the pixel.
-
-    Args:
-        rgb: ``(H, W, 3)`` uint8.
-        window: Which of its pixels count.
-        table: See ``colour_table``.
-        step: 4 or 8 pixels.
-        min_area: Components with fewer pixels are dropped.
-        min_share: So are those smaller than this share of the largest.
-
-    Returns:
-        What ``find_components`` returns, the mask 0 and 255.
-    """
-    flat, origin, pitch = _flat(rgb, window)
-    left, top, width, height = window
-    mask, *found = find_on_lattice(
-        flat, origin, pitch, left, top, left + width, top + height, table, step, min_area, min_share
-    )
-    if mask.shape[1] != width:
-        mask = np.ascontiguousarray(mask[:, left % 8 : left % 8 + width])
-    return mask, *found
-
-
-def table_mask(rgb: npt.NDArray[np.uint8], window: Window, table: npt.NDArray[np.uint64]) -> Mask:
-    """Return the pixels of a window whose colour is in a table: ``(h, w)`` uint8, 0 or 255.
-
-    Args:
-        rgb: ``(H, W, 3)`` uint8.
-        window: Which of its pixels to read.
-        table: See ``colour_table``.
-    """
-    flat, origin, pitch = _flat(rgb, window)
-    origin += window.top * pitch + 3 * window.left
-    return look_up(flat, origin, pitch, window.width, window.height, table)
-
-
-def _flat(rgb: npt.NDArray[np.uint8], window: Window) -> tuple[npt.NDArray[np.uint8], int, int]:
+def flat_pixels(rgb: npt.NDArray[np.uint8], window: Window) -> tuple[npt.NDArray[np.uint8], int, int]:
     """Return the values of an image in a row, where its pixel ``(0, 0)`` stands, and the distance between its rows.
 
     If an image is not stored row by row, the window is copied.
+
+    Args:
+        rgb: ``(H, W, 3)`` uint8.
+        window: Which of its pixels will be read.
     """
     if rgb.flags.c_contiguous:
         flat, origin, pitch = rgb.reshape(-1), 0, 3 * rgb.shape[1]
@@ -81,36 +38,52 @@ def _flat(rgb: npt.NDArray[np.uint8], window: Window) -> tuple[npt.NDArray[np.ui
     return flat, origin, pitch
 
 
-@compiled("(Array(u1, 1, 'C', readonly=True), i8, i8, i8, i8, Array(u8, 1, 'C', readonly=True))")
-def look_up(flat: Any, origin: int, pitch: int, width: int, height: int, table: Any) -> Mask:
-    """Look up the colours of a window whose first pixel stands at ``origin``."""
+@compiled("(Array(u1, 1, 'C', readonly=True), i8, i8, UniTuple(i8, 4), Array(u8, 1, 'C', readonly=True))")
+def look_up(flat: Any, origin: int, pitch: int, window: Box, table: Any) -> Mask:
+    """Return the pixels of a window whose colour is in a table: ``(h, w)`` uint8, 0 or 255.
+
+    Args:
+        flat: The image, see ``flat_pixels``.
+        origin: Where its pixel ``(0, 0)`` stands.
+        pitch: The distance between its rows.
+        window: Left, top, width and height.
+        table: See ``colour_table``.
+    """
+    left, top, width, height = window
     out = np.empty((height, width), np.uint8)
     for row in range(height):
-        at = _U(origin + row * pitch)
+        at = _U(origin + (top + row) * pitch + 3 * left)
         for column in range(width):
             out[row, column] = -np.uint8(_bit(flat, at, table))
             at += _U(3)
     return out
 
 
-@compiled("(Array(u1, 1, 'C', readonly=True), i8, i8, i8, i8, i8, i8, Array(u8, 1, 'C', readonly=True), i8, f8, f8)")
+@compiled("(Array(u1, 1, 'C', readonly=True), i8, i8, UniTuple(i8, 4), Array(u8, 1, 'C', readonly=True), i8, f8, f8)")
 def find_on_lattice(
-    flat: Any,
-    origin: int,
-    pitch: int,
-    left: int,
-    top: int,
-    right: int,
-    bottom: int,
-    table: Any,
-    step: int,
-    min_area: float,
-    min_share: float,
-) -> Any:
-    """Find components; the image's pixel (u, v) stands at ``origin + v * pitch + 3 * u``.
+    flat: Any, origin: int, pitch: int, window: Box, table: Any, step: int, min_area: float, min_share: float
+) -> Components:
+    """Find the plausible components of a colour without reading every pixel.
 
-    Cells of 8 x 8 pixels are read that hold a lattice pixel in the table, and from there on where pixels touch.
+    One pixel in ``step * step`` is looked at, in a lattice that lies fast in the image with every other row shifted
+    by half a step. Where one has such a colour its cell of 8 x 8 pixels is read, and from there on where pixels touch.
+    Components that hold none of the lattice are left out, so any object that a disc of diameter 1.25 * step + 1 fits
+    into is found, and what is found is complete to the pixel.
+
+    Args:
+        flat: The image, see ``flat_pixels``.
+        origin: Where its pixel ``(0, 0)`` stands.
+        pitch: The distance between its rows.
+        window: Left, top, width and height of what counts.
+        table: See ``colour_table``.
+        step: 4 or 8 pixels.
+        min_area: Components with fewer pixels are dropped.
+        min_share: So are those smaller than this share of the largest.
+
+    Returns:
+        What ``find_components`` returns, the mask 0 and 255.
     """
+    left, top, right, bottom = window[0], window[1], window[0] + window[2], window[1] + window[3]
     west, north = left & ~7, top & ~7
     across, down = (right - west + 7) >> 3, (bottom - north + 7) >> 3
     words = np.zeros((bottom - top, across), np.uint64)
@@ -158,7 +131,9 @@ def find_on_lattice(
                     waiting = _push(cell - 1, seen, stack, waiting)
                 if every >> _U(7):
                     waiting = _push(cell + 1, seen, stack, waiting)
-    return find_components(words.view(np.uint8), west, top, step, min_area, min_share)
+    found = find_components(words.view(np.uint8), west, top, step, min_area, min_share)
+    mask = found[0] if window[2] == 8 * across else found[0][:, left - west : right - west].copy()
+    return mask, found[1], found[2], found[3], found[4]
 
 
 @compiled(inline=True)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from shape_obs.frame import Frame
 from shape_obs.geometry.observed import MIN_SAMPLES
-from shape_obs.image.colour_search import find_by_colour, find_on_lattice, look_up, table_mask
+from shape_obs.image.colour_search import find_on_lattice, flat_pixels, look_up
 from shape_obs.image.connected_runs import draw_components, find_components, near_mask
 from shape_obs.image.mask_check import checked_mask
 from shape_obs.image.outline_tracing import trace_components
@@ -19,7 +19,7 @@ from shape_obs.image.region import Region
 from shape_obs.image.roi import ROI, Window
 from shape_obs.image.segmentation import ColourRule, Expected, FollowingRule, Segmentation, colour_table, need
 
-# A strand at least so wide, pixels, is not missed where one pixel in step x step is looked at: see ``find_by_colour``.
+# A strand at least so wide, pixels, is not missed where one pixel in step x step is looked at: see ``find_on_lattice``.
 _WIDE, _FAR_STEP, _NARROW, _NEAR_STEP = 12.0, 8, 7.0, 4
 
 # An object has a run of pixels in each of its rows and columns, and a few more where it bends, branches or has
@@ -56,12 +56,12 @@ def segment(
         if type(rule).apply is not Segmentation.apply:  # which checks what ``threshold`` returns
             mask = checked_mask(mask, (window.height, window.width), rule.label)
     else:
-        rgb = frame.rgb if frame.rgb is not None else need(None, "rgb", rule)
+        pixels = flat_pixels(frame.rgb if frame.rgb is not None else need(None, "rgb", rule), window)
         table, step = colour_table(rule), _FAR_STEP if width >= _WIDE else _NEAR_STEP if width >= _NARROW else 1
         untouched = max(rule.open, rule.close) <= 1 and type(roi).blank is ROI.blank
         if step > 1 and untouched:
-            return _region(window, *find_by_colour(rgb, window, table, step, rule.min_area, rule.min_share))
-        mask = rule.clean(table_mask(rgb, window, table))
+            return _region(window, *find_on_lattice(*pixels, window[:4], table, step, rule.min_area, rule.min_share))
+        mask = rule.clean(look_up(*pixels, window[:4], table))
     return find_region(roi.blank(mask, window), window, rule.min_area, rule.min_share)
 
 

@@ -7,8 +7,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.frame import Frame
-from shape_obs.utils.array_like import plain_array
+from shape_obs.frame import Frame, plain_array
 
 _FLAG, _BYTE = np.dtype(np.bool_), np.dtype(np.uint8)
 _FULL: Final = 255

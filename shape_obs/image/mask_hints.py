@@ -57,25 +57,25 @@ class MaskHints:
     """Explain masks without an object, at most once in 30 frames for each rule, and find the missing part of a red one.
 
     Args:
-        looked: Rules whose object was looked at already.
+        rules: The rules.
+
+    Attributes:
+        reds: Those of reds on one side of hue 0 whose object was not looked at yet, with those of both sides.
     """
 
-    def __init__(self, looked: Iterable[Segmentation] = ()) -> None:
+    def __init__(self, rules: Iterable[Segmentation | None]) -> None:
         self._known: dict[Segmentation, tuple[int, str]] = {}
-        self.looked = set(looked)
+        reds = [rule for rule in rules if isinstance(rule, HSVRange)]
+        self.reds = {rule: around for rule in reds if (around := across_red(rule)) is not None}
 
-    def look_at(self, rule: Segmentation | None, frame: Frame) -> None:
+    def look_at_red(self, rule: Segmentation | None, frame: Frame) -> None:
         """Warn once if what a rule of reds found goes on with hues on the other side of 0.
 
         Args:
             rule: The rule, which found an object.
             frame: The images.
         """
-        if not isinstance(rule, HSVRange) or rule in self.looked:
-            return
-        self.looked.add(rule)
-        around = across_red(rule)
-        if around is None or frame.rgb is None:
+        if not isinstance(rule, HSVRange) or (around := self.reds.pop(rule, None)) is None or frame.rgb is None:
             return
         found = rule.matches(frame.rgb) > 0
         labels, stats = map(np.asarray, cv2.connectedComponentsWithStats(around.matches(frame.rgb))[1:3])

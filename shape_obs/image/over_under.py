@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -37,9 +38,9 @@ _NO_IMAGE: Final = np.zeros((0, 0, 3), np.uint8)
 
 def find_layers(
     crossings: tuple[Crossing, ...],
-    curves: list[Array],
-    names: list[str],
-    widths: list[float],
+    curves: Sequence[Array],
+    names: Sequence[str],
+    widths: Sequence[float],
     depth: DepthImages,
     rgb: Image | None,
 ) -> tuple[Crossing, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
+from math import ceil, floor
 from typing import Any, NamedTuple
 
 import cv2
@@ -129,9 +130,9 @@ class Polygon(ROI, kind="polygon"):
 
     def window(self, size: tuple[int, int]) -> Window:
         """Return the bounding box of the polygon, clipped to the image."""
-        corners = np.asarray(self.points, dtype=np.float64)
-        low, high = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int) + 1
-        return clipped((int(low[0]), int(low[1]), int(high[0]), int(high[1])), size, self)
+        columns, rows = zip(*self.points, strict=True)
+        first, last = (floor(min(columns)), floor(min(rows))), (ceil(max(columns)), ceil(max(rows)))
+        return clipped((*first, last[0] + 1, last[1] + 1), size, self)
 
     def blank(self, mask: npt.NDArray[np.uint8], window: Window) -> npt.NDArray[np.uint8]:
         """Return the mask with 0 outside the polygon."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.frame import FARTHEST
+from shape_obs.frame import FARTHEST, plain_array
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.observed import MIN_SAMPLES, Samples
 from shape_obs.geometry.outline import clockwise
@@ -17,7 +17,6 @@ from shape_obs.point_cloud.geodesics import chain, ring
 from shape_obs.point_cloud.local_pca import Ribbon, measure
 from shape_obs.point_cloud.unrolling import Chart, border, chart
 from shape_obs.point_cloud.voxels import ConnectedVoxels, Piece, connect
-from shape_obs.utils.array_like import plain_array
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix

@@ -59,17 +59,22 @@ class Clock:
 
     def tick(self, stamp: float | None) -> None:
         """Go on to the next frame, with its stamp in seconds if it has one."""
-        step = self._dt
-        self.warning = ""
-        if stamp is None:
-            self.stamp += step if self._started else 0.0
+        step, self.warning = self._dt, ""
+        if not self._started:
+            self._started, step = True, 0.0
+            self.stamp = 0.0 if stamp is None else float(stamp)
+        elif stamp is None:
+            self.stamp += step
         else:
             shown, self.stamp = float(stamp) - self.stamp, float(stamp)
-            if self._started:
-                step = self._checked(shown)
+            if _LEAST_STEP <= shown <= LONGEST_PAUSE:
+                step = shown
+            else:
+                what = "stands still" if abs(shown) < _LEAST_STEP else "jumps" if shown > 0 else "runs back"
+                self.warning = f"the stamp {what}: dt is taken as the time since the last frame"
+            if len(self._steps) < _SAMPLE and not self._warned:
                 self._look_at(stamp, shown)
-        self.now += step if self._started else 0.0
-        self._started = True
+        self.now += step
 
     def explain_loss(self, max_age: float) -> None:
         """Warn once if a track ends with a single frame because stamps are a second or more from each other."""
@@ -78,17 +83,9 @@ class Clock:
             text = f"{usual:.3g} s from frame to frame, so a track ends with one frame without the shape: max_age is"
             self._warn(f"{text} {max_age:g} s. Raise it, or give seconds if the stamps are something else", 7)
 
-    def _checked(self, shown: float) -> float:
-        """Return the seconds that passed where the stamp shows so many."""
-        if _LEAST_STEP <= shown <= LONGEST_PAUSE:
-            return shown
-        what = "stands still" if abs(shown) < _LEAST_STEP else "jumps" if shown > 0 else "runs back"
-        self.warning = f"the stamp {what}: dt is taken as the time since the last frame"
-        return self._dt
-
     def _look_at(self, stamp: float, step: float) -> None:
         """Warn if the first steps are those of another unit."""
-        if self._warned or len(self._steps) == _SAMPLE or step < 0:
+        if step < 0:
             return
         if isinstance(stamp, np.floating) and stamp.dtype.itemsize < 8 and np.spacing(stamp) > _COARSEST:
             return self._warn(f"{stamp.dtype} at {stamp:g} resolves {np.spacing(stamp):g} s: give float64")

@@ -12,7 +12,6 @@ from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import NO_VALUES
 from shape_obs.geometry.outline import with_turning
 from shape_obs.geometry.topology import Chain, Topology
-from shape_obs.image.roi import Window
 from shape_obs.tracking.model import MotionModel
 from shape_obs.tracking.scene import Box
 from shape_obs.tracking.state import ENDS, State
@@ -68,12 +67,6 @@ class Track(NamedTuple):
     def width(self) -> float:
         """Of a rope, or of the largest piece of a mask; 0 in a cloud."""
         return float(self.state["width"][0])
-
-    @property
-    def box(self) -> Window | None:
-        """The rectangle around the mask; None without a mask."""
-        box = self.state["box"][0].tolist()
-        return Window(*box) if box[2] > 0 else None
 
     @property
     def rope(self) -> State | None:

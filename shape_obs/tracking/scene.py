@@ -67,8 +67,8 @@ class Scene(NamedTuple):
         """Return the scene of images or a mask of ``(H, W)``, in space if there are depth and a camera."""
         if frame.depth is None or frame.camera is None:
             return cls(frame, clock, anchors, True, False, size, edge)
-        camera = frame.camera.intrinsics
-        return cls(frame, clock, anchors, True, True, size, edge, frame.depth, camera, frame.images, camera.lens)
+        camera, images = frame.camera.intrinsics, depth_images(frame.depth)
+        return cls(frame, clock, anchors, True, True, size, edge, frame.depth, camera, images, camera.lens)
 
     def in_mask(self, region: Region) -> InMask:
         """Return a mask, and the frame around it, as a step takes them."""

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import InitVar, dataclass, field, replace
-from functools import lru_cache
-from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final
 
 import cv2
 import numpy as np
@@ -31,47 +30,36 @@ _PLACES: Final = 24  # in an outline, about
 _RIM: Final = 7  # pixels of the square around a place in an outline that must be in it too
 
 
-class SearchWindow(NamedTuple):
-    """Where a mask should be in the next frame.
-
-    Args:
-        window: Holds all of it, with room for what is not foreseen.
-        width: Of the object where it is thinnest, pixels; 0 if it is not known.
-    """
-
-    window: Window
-    width: float
-
-
-def predict_search_window(tracks: list[Track | None]) -> SearchWindow | None:
+def predict_search_window(tracks: list[Track | None], spare: int, whole: Window) -> tuple[Window, float] | None:
     """Predict where a mask that several shapes share should be; None if that is not known for one of them.
 
     What a hand hides may come back anywhere.
+
+    Args:
+        tracks: Of the shapes.
+        spare: Pixels around them, to which those for what is not foreseen are added.
+        whole: The part of the image that is searched.
+
+    Returns:
+        A window that holds all of them, its columns in groups of eight, which compiled code reads at once; the width of
+        the object where it is thinnest, pixels, 0 if it is not known.
     """
-    left = top = width = math.inf
+    left = top = thinnest = math.inf
     right = bottom = -math.inf
     for track in tracks:
-        box = None if track is None else track.box
-        if track is None or box is None or (track.rope is not None and track.rope["hides"][0]):
+        if track is None:
             return None
-        spare = _SPARE + int(track.state["box_motion"][0])
-        left, top, width = min(left, box.left - spare), min(top, box.top - spare), min(width, track.width)
-        right, bottom = max(right, box.left + box.width + spare), max(bottom, box.top + box.height + spare)
-    return SearchWindow(Window(int(left), int(top), int(right - left), int(bottom - top)), width)
-
-
-class Sought(Protocol):
-    """A shape that is looked for."""
-
-    @property
-    def name(self) -> str:
-        """What it is called."""
-        ...
-
-    @property
-    def segmentation(self) -> Segmentation | None:
-        """Its pixel rule."""
-        ...
+        state, (x, y, width, height) = track.state, track.state["box"][0].tolist()
+        if not width or (isinstance(track.topology, Chain) and state["hides"][0]):
+            return None
+        around, thinnest = spare + _SPARE + int(state["box_motion"][0]), min(thinnest, float(state["width"][0]))
+        left, top = min(left, x - around), min(top, y - around)
+        right, bottom = max(right, x + width + around), max(bottom, y + height + around)
+    left, right = max(left // 8 * 8, whole.left), min(-(-right // 8) * 8, whole.left + whole.width)
+    top, bottom = max(top, whole.top), min(bottom, whole.top + whole.height)
+    if left >= right or top >= bottom:
+        return whole, thinnest
+    return Window(int(left), int(top), int(right - left), int(bottom - top)), thinnest
 
 
 @dataclass
@@ -81,51 +69,39 @@ class RegionSearch:
     Args:
         frame: The images.
         mask: ``(H, W)`` uint8 where someone else has segmented; None where the rules do.
-        roi: The part of the image to search.
-        shapes: The shapes that are looked for.
-        found: Their tracks by name; a rule of which a shape has none is looked for everywhere.
+        roi: The region of interest.
+        whole: The part of the image that it reads; what touches its edge may go on behind it.
+        tracks: The tracks of the shapes of each rule; a rule of which a shape has none is looked for everywhere.
         everywhere: Whether to look for all of them everywhere; a rule that follows the track still gets it.
 
     Attributes:
-        whole: The part of the image that the region of interest reads; what touches its edge may go on behind it.
-        tracks: The tracks of the shapes of each rule.
         masks: The masks of the rules that read the whole image, without their clean-up.
     """
 
     frame: Frame
     mask: npt.NDArray[np.uint8] | None
     roi: ROI
-    shapes: InitVar[Iterable[Sought]]
-    found: InitVar[Mapping[str, Track]]
+    whole: Window
+    tracks: dict[Segmentation | None, list[Track | None]] = field(default_factory=dict)
     everywhere: bool = False
     regions: dict[Segmentation | None, Region] = field(default_factory=dict)
     clouds: dict[Segmentation | None, SeenCloud] = field(default_factory=dict)
     masks: dict[Segmentation, npt.NDArray[np.uint8]] = field(default_factory=dict)
 
-    def __post_init__(self, shapes: Iterable[Sought], found: Mapping[str, Track]) -> None:
-        size = self.frame.size if self.mask is None else self.mask.shape
-        assert size is not None
-        self.whole = _window(self.roi, size[0], size[1])
-        self.tracks: dict[Segmentation | None, list[Track | None]] = {}
-        for spec in shapes:
-            self.tracks.setdefault(spec.segmentation, []).append(found.get(spec.name))
-
     def region(self, rule: Segmentation | None) -> Region:
         """Return the region of a rule, looked for where it is expected; what runs out of there, everywhere."""
         if rule in self.regions:
             return self.regions[rule]
-        frame, whole = self.frame, self.whole
-        tracks = self.tracks.get(rule, [None])
-        expected, near = None if self.everywhere else predict_search_window(tracks), None
-        if isinstance(rule, FollowingRule) and None not in tracks:
-            near = self._expected(tracks, expected is None)  # also where a hand may hide more of it than is known
+        frame, whole, tracks = self.frame, self.whole, self.tracks.get(rule, [None])
         reach = 1 if rule is None else 1 + rule.open + rule.close
-        window, width = whole, 0.0
-        if expected is None and near is None:
+        follows = isinstance(rule, FollowingRule) and None not in tracks
+        spare = _CONTEXT if follows else reach
+        expected = None if self.everywhere else predict_search_window(tracks, spare, whole)
+        # A rule that follows the object is given its track also where a hand may hide more of it than is known.
+        near = self._expected(tracks, expected is None) if follows else None
+        if expected is None and not follows:
             self.tracks.pop(rule, None)
-        elif expected is not None:
-            spare = reach if near is None else _CONTEXT
-            window, width = _clipped(expected.window, spare, whole), expected.width
+        window, width = expected or (whole, 0.0)
         if self.mask is None:
             assert rule is not None
             if rule.whole_image:
@@ -206,20 +182,6 @@ def draw_expected(mask: npt.NDArray[np.uint8], nodes: npt.NDArray[np.float64], t
     thick = track.width if isinstance(track.topology, Chain) and track.nodes.shape[1] == 2 else long
     cv2.polylines(mask, list(corners), False, (1,), max(round(thick), 1), shift=4)
     return nodes
-
-
-@lru_cache(maxsize=16)
-def _window(roi: ROI, height: int, width: int) -> Window:
-    """Return the pixels of an image that a region of interest reads."""
-    return roi.window((height, width))
-
-
-def _clipped(near: Window, reach: int, whole: Window) -> Window:
-    """Return the expected window with a margin, its columns in groups of eight, which compiled code reads at once."""
-    left, top = max((near.left - reach) // 8 * 8, whole.left), max(near.top - reach, whole.top)
-    right = min(-(-(near.left + near.width + reach) // 8) * 8, whole.left + whole.width)
-    bottom = min(near.top + near.height + reach, whole.top + whole.height)
-    return Window(left, top, right - left, bottom - top) if right > left and bottom > top else whole
 
 
 def _is_cut(box: Window, reach: int, window: Window, whole: Window) -> bool:

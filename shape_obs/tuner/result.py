@@ -105,7 +105,7 @@ class Finder:
             if type(config.roi).place is not ROI.place:
                 roi, self._memory, _ = config.roi.place(frame.rgb, self._memory)
             if roi is not None:
-                search = RegionSearch(frame, None, roi, self._detector.shapes, {})
+                search = RegionSearch(frame, None, roi, roi.window(frame.size or (0, 0)))
                 regions = {rule: search.region(rule) for rule in rules if rule is not None}
             if not rules:
                 return Result(self._number, moment, config, roi)

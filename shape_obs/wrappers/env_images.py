@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from shape_obs.frame import plain_array
 from shape_obs.spec import did_you_mean
-from shape_obs.utils.array_like import plain_array
-from shape_obs.utils.image_layout import Step, apply, is_depth, shape_after, steps_to_depth, steps_to_rgb
+from shape_obs.utils.image_layout import Step, is_depth, shape_after, steps_to_depth, steps_to_rgb
 
 #: A key of an observation, or the keys on the way to an image in a Dict within a Dict: ``"images/rgb"`` as well.
 Key = str | int | Sequence[str | int]
@@ -78,24 +78,23 @@ class Image:
         except (KeyError, IndexError, TypeError) as error:
             got = f"keys: {sorted(given)}" if isinstance(given, Mapping) else f"it is a {type(given).__name__}"
             raise KeyError(f"the observation has no {key!r}, but its space does; {got}.") from error
-        image, (shape, dtype) = plain_array(given, self.where, masked), (self.space.shape, self.space.dtype)
-        assert dtype is not None
-        if (
-            isinstance(image, np.ndarray)
-            and image.shape != shape
-            and [n for n in image.shape if n > 1] == [n for n in shape if n > 1]
-        ):
-            image = image.reshape(shape)  # an axis of length 1 more or less changes nothing
-        floats = dtype.kind == "f" and isinstance(image, np.ndarray) and image.dtype.kind == "f"
-        if not isinstance(image, np.ndarray) or image.shape != shape or (image.dtype != dtype and not floats):
-            came = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
-            raise ValueError(
-                f"{self.where}: the env's observation_space promises {shape} {dtype}, but the image is {came}: "
-                "correct the one or the other."
-            )
+        image, shape, dtype = given, self.space.shape, self.space.dtype
+        if type(image) is not np.ndarray or image.shape != shape or image.dtype != dtype:
+            image = plain_array(image, self.where, masked)
+            if isinstance(image, np.ndarray) and [n for n in image.shape if n > 1] == [n for n in shape if n > 1]:
+                image = image.reshape(shape)  # an axis of length 1 more or less changes nothing
+            floats = isinstance(image, np.ndarray) and image.dtype.kind == "f" and np.issubdtype(dtype, np.floating)
+            if not isinstance(image, np.ndarray) or image.shape != shape or (image.dtype != dtype and not floats):
+                came = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
+                raise ValueError(
+                    f"{self.where}: the env's observation_space promises {shape} {dtype}, but the image is {came}: "
+                    "correct the one or the other."
+                )
         if self.factor:
             image = self._as_bytes(image)
-        return apply(image, self.steps)
+        for step in self.steps:
+            image = step.apply(image)
+        return image
 
     def _as_bytes(self, image: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
         low, high = float(image.min()), float(image.max())

@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, Final, SupportsFloat
 
 import gymnasium as gym
@@ -172,8 +172,15 @@ class EnvClock:
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step the env, and return what it returned."""
         calls: list[str] = []
-        with _noted(self._timed, "step", calls), _noted(self._env.unwrapped, "reset", calls):
+        replaced = []
+        for env, name in ((self._timed, "step"), (self._env.unwrapped, "reset")):
+            replaced.append((env, name, vars(env).get(name)))
+            setattr(env, name, partial(_noted, calls, name, getattr(env, name)))
+        try:
             result = self._env.step(action)
+        finally:
+            for env, name, own in replaced:
+                delattr(env, name) if own is None else setattr(env, name, own)
         seconds = self._given or (calls.count("step") or 1) * self._each
         self.dt, self.was_reset = max(self.dt, seconds), "reset" in calls  # the last step of an episode may be shorter
         self.now += seconds
@@ -192,20 +199,7 @@ class EnvClock:
         return self.now if stamp is None else stamp
 
 
-@contextmanager
-def _noted(env: gym.Env[Any, Any], name: str, calls: list[str]) -> Iterator[None]:
-    """Append ``name`` to ``calls`` whenever this method of an env is called within the context."""
-    before, method = vars(env).get(name, _MISSING), getattr(env, name)
-
-    def noted(*args: Any, **kwargs: Any) -> Any:
-        calls.append(name)
-        return method(*args, **kwargs)
-
-    setattr(env, name, noted)
-    try:
-        yield
-    finally:
-        if before is _MISSING:
-            delattr(env, name)
-        else:
-            setattr(env, name, before)
+def _noted(calls: list[str], name: str, method: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Any:
+    """Call a method of an env, and append its name to ``calls``."""
+    calls.append(name)
+    return method(*args, **kwargs)
