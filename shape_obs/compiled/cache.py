@@ -29,7 +29,7 @@ from numba.core.registry import cpu_target
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
-_FORMAT: Final = 1  # of the files
+_FORMAT: Final = 2  # of the files
 # Settings of Numba that change what is generated.
 _SETTINGS: Final = ("OPT", "BOUNDSCHECK", "DEBUGINFO_DEFAULT", "LOOP_VECTORIZE", "SLP_VECTORIZE")
 

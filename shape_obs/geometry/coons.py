@@ -178,8 +178,8 @@ def corners_of(nodes: Array) -> Array:
 
 
 @compiled
-def turned(lattice: Array, quarters: int) -> Array:
-    """Return a lattice ``(625, D)`` that begins ``quarters`` corners further on, clockwise."""
+def turned(lattice: Any, quarters: int) -> Any:
+    """Return a lattice ``(625, D)`` of numbers or flags that begins ``quarters`` corners further on, clockwise."""
     out = lattice.copy()
     for _ in range(quarters):
         before = out.copy()
