@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.configurations.base import Configuration
-from shape_obs.geometry.polyline import catmull_rom
+from shape_obs.geometry.polyline import catmull_rom, nearest_along
 from shape_obs.image.connected_runs import draw_components
 from shape_obs.image.pieces import component_parts, split_components
 from shape_obs.image.region import Region
@@ -31,13 +31,13 @@ from shape_obs.slots.attempts import (
     kept_apart,
     price_of,
 )  # fmt: skip
-from shape_obs.slots.passages import Lying, Passages, better, change_of_headings, lying_of, moved
+from shape_obs.slots.passages import Lying, Passages, better, lying_of, moved
 from shape_obs.tracker import Tracker
 from shape_obs.tracking.exchanges import meetings
 from shape_obs.tracking.predict import Fit
 from shape_obs.tracking.scene import Scene
-from shape_obs.tracking.scene_doubt import NEXT_TO, bending_energy, nearest_distances, side_distances
-from shape_obs.tracking.seats import add_pieces, near_tracks, seat_others, seat_tracked
+from shape_obs.tracking.scene_doubt import NEXT_TO, bending_energy
+from shape_obs.tracking.seats import add_pieces, distances, seat_others, seat_tracked
 from shape_obs.tracking.state import LENGTH
 
 Array = npt.NDArray[np.float64]
@@ -49,8 +49,8 @@ _PATIENCE: Final = 10  # frames between two searches for objects that do not com
 
 #: The compiled functions that slots may call.
 SLOT_FUNCTIONS: Final = (
-    share_pixels, split_components, owned_runs, draw_components, nearest_distances, bending_energy, sharp_turns,
-    side_distances, meetings, middle_width, change_of_headings,
+    share_pixels, split_components, owned_runs, draw_components, nearest_along, bending_energy, sharp_turns, meetings,
+    middle_width,
 )  # fmt: skip
 _NOTHING: Final = "no other object was found in the mask"
 
@@ -200,10 +200,11 @@ class Slots:
             for each in seen.expected
         ]
         lengths = [(track is not None and track.length_in_image) or math.inf for track in seen.tracks]
-        seats = seat_tracked(objects, seen.ahead, reach, lengths)
+        away = distances(objects, seen.ahead)
+        seats = seat_tracked(objects, away, reach, lengths)
         free = [k for k, each in enumerate(seen.expected) if each is None or each.lost]
         targets = [tracker.target(seen.scene) for tracker in self.trackers]
-        kept = near_tracks(objects, seen.ahead, NEXT_TO * width) if objects else ()
+        kept = np.flatnonzero((away[0] <= NEXT_TO * width).any(axis=0)).tolist()
         seats = seat_others(
             objects, seats, targets, sorted(free, key=lambda k: self.trackers[k].track is not None), kept
         )
@@ -212,7 +213,7 @@ class Slots:
         curves, widths = [objects[at].curve.points for at in shared], [objects[at].width for at in shared]
         owners = share(region, curves, widths, TRACED)[0] if shared else None
         reach = _PIECE * median(widths) if shared else 0.0
-        for k, pieces in enumerate(add_pieces(objects, seats, seen.ahead, reach)):
+        for k, pieces in enumerate(add_pieces(seats, away[0], reach)):
             if pieces:
                 part = objects[pieces[0]].region
                 if part is None:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.observed import Observed
+from shape_obs.geometry.polyline import arc_length, nearest_on
 from shape_obs.image.region import Region
 from shape_obs.initialization.strand_curves import sharp_turns
 
@@ -54,7 +55,7 @@ def doubt_where_they_meet(
         found: ``(J, 2)`` each, the curves of the others.
         width: Of the rope, pixels.
     """
-    seen = np.ascontiguousarray(form.points[~form.interpolated][::4])  # a width apart
+    seen = form.points[~form.interpolated][::4]  # a width apart
     if taken_over(seen, own, lost, width) > _TAKEN or taken_over(seen, own, found, width) > _MOST:
         return "what was found lies where another rope was"
     return "what was found turns sharply where ropes meet" if doubtful_turns(form, width) else ""
@@ -71,10 +72,8 @@ def claims_the_same(form: FittedCurve, other: FittedCurve, width: float) -> bool
     hidden = form.unsupported_fraction
     if hidden <= max(_HIDDEN, other.unsupported_fraction):
         return False
-    seen = np.ascontiguousarray(form.points[~form.interpolated][::4])
-    if not len(seen):
-        return False
-    return bool(np.mean(nearest_distances(seen, np.ascontiguousarray(other.points)) < width / 2) > _MOST)
+    _, away = nearest_on(other.points, form.points[~form.interpolated][::4])
+    return len(away) > 0 and bool(np.mean(away < width / 2) > _MOST)
 
 
 def folds_anew(curve: FittedCurve, observed: Observed, width: float) -> bool:
@@ -130,24 +129,8 @@ def taken_over(points: Array, own: Array, others: Sequence[Array], margin: float
     """
     if not others or not len(points):
         return 0.0
-    away = nearest_distances(points, own)
-    least = np.min([nearest_distances(points, other) for other in others], axis=0)
-    return float(np.mean(away > least + margin))
-
-
-@compiled("(f8[:,::1], f8[:,::1])")
-def nearest_distances(points: Array, curve: Array) -> Array:
-    """Return the distance of ``(N, 2)`` points from a polyline of ``(K, 2)``: ``(N,)``."""
-    out = np.empty(len(points))
-    for n in range(len(points)):
-        least = np.inf
-        for p in range(len(curve) - 1):
-            du, dv = curve[p + 1, 0] - curve[p, 0], curve[p + 1, 1] - curve[p, 1]
-            u, v = points[n, 0] - curve[p, 0], points[n, 1] - curve[p, 1]
-            share = min(max((u * du + v * dv) / max(du * du + dv * dv, 1e-12), 0.0), 1.0)
-            least = min(least, (u - share * du) ** 2 + (v - share * dv) ** 2)
-        out[n] = np.sqrt(least)
-    return out
+    least = np.min([nearest_on(other, points)[1] for other in others], axis=0)
+    return float(np.mean(nearest_on(own, points)[1] > least + margin))
 
 
 def changed_sides(before: Array, other_before: Array, after: Array, other_after: Array, width: float) -> bool:
@@ -169,21 +152,10 @@ def changed_sides(before: Array, other_before: Array, after: Array, other_after:
     return bool(np.median(np.abs(now[changed])) > _BESIDE * width)
 
 
-@compiled("(f8[:,::1], f8[:,::1])")
 def side_distances(points: Array, curve: Array) -> Array:
     """Return the distance of ``(N, 2)`` points from a polyline, negative on its left; inf beyond its ends."""
-    out = np.full(len(points), np.inf)
-    last = len(curve) - 2
-    for n in range(len(points)):
-        least = np.inf
-        for p in range(last + 1):
-            du, dv = curve[p + 1, 0] - curve[p, 0], curve[p + 1, 1] - curve[p, 1]
-            u, v = points[n, 0] - curve[p, 0], points[n, 1] - curve[p, 1]
-            share = (u * du + v * dv) / max(du * du + dv * dv, 1e-12)
-            inside = min(max(share, 0.0), 1.0)
-            away = np.hypot(u - inside * du, v - inside * dv)
-            if away < least:
-                least = away
-                beyond = (p == 0 and share < 0) or (p == last and share > 1)
-                out[n] = np.inf if beyond else away if du * v - dv * u > 0 else -away
-    return out
+    arc, (at, away) = arc_length(curve), nearest_on(curve, points)
+    piece = np.clip(np.searchsorted(arc, at, "right"), 1, len(arc) - 1)
+    (along_u, along_v), (off_u, off_v) = (curve[piece] - curve[piece - 1]).T, (points - curve[piece - 1]).T
+    signed = np.where(along_v * off_u > along_u * off_v, -away, away)
+    return np.where((at > 0) & (at < arc[-1]), signed, np.inf)
