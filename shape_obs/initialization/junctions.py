@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Final, NamedTuple
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -144,11 +145,9 @@ def follow(branch: Branch, starts: list[int], ends: list[int], leads: dict[int, 
         leads: How they leave.
         width: Of one strand, pixels.
     """
-    from scipy.ndimage import maximum_filter1d  # takes 0.2 s to import
-
     arc = arc_length(np.ascontiguousarray(branch.points))
     steps = round(_JITTER * width * (len(arc) - 1) / max(float(arc[-1]), 1e-9))
-    thick = maximum_filter1d(branch.radius, 2 * steps + 1) / width
+    thick = np.asarray(cv2.dilate(branch.radius[:, None], np.ones((2 * steps + 1, 1))), np.float64)[:, 0] / width
     if _ONE <= thick.min() < _TWO:
         return None
     waists, start = [0], -1
@@ -173,6 +172,6 @@ def follow(branch: Branch, starts: list[int], ends: list[int], leads: dict[int, 
 
 def _by_side(ends: list[int], leads: dict[int, Lead], on: Array, way: int) -> list[int]:
     """Return ends from left to right, as seen along a shared branch with a point on it, which they enter or leave."""
-    middle = np.mean([leads[end].point for end in ends], axis=0)
-    ahead = way * (on - middle)
-    return sorted(ends, key=lambda end: float((leads[end].point - middle) @ (-ahead[1], ahead[0])))
+    middle = sum(leads[end].point for end in ends) / len(ends)
+    ahead = way * (complex(*on) - middle)
+    return sorted(ends, key=lambda end: ((leads[end].point - middle) * ahead.conjugate()).imag)

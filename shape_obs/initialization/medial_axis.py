@@ -22,7 +22,6 @@ from shape_obs.initialization.pairing import (
     bending,
     cheapest_order,
     cheapest_pairing,
-    first_chord,
     lead,
     price_of,
     routes,
@@ -51,7 +50,7 @@ _TURNS_BACK: Final = 1.8  # rad^2, see ``bending``: an arc of 155 degrees, which
 #: The compiled functions that finding an axis in a mask may call.
 AXIS_FUNCTIONS: Final = (
     closest_sides, unexplained_share, fill_holes, thin_pixels, trace_skeleton, middle_value, smooth_curve, middle_part,
-    joint, first_chord, hermite, cheapest_order, cheapest_pairing,
+    joint, hermite, cheapest_order, cheapest_pairing,
 )  # fmt: skip
 
 

@@ -6,11 +6,11 @@ import math
 from itertools import combinations
 from typing import Final
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.polyline import nearest_on
 from shape_obs.image.region import Region
 from shape_obs.initialization.appearance import Picture, look_of_end, misfit
 from shape_obs.initialization.medial_axis import even, find_strands
@@ -35,7 +35,8 @@ def find_ropes(region: Region, picture: Picture | None = None, gap: float = NARR
     """
     strands, refusal = find_strands(without_pinholes(region), picture, several=True)
     strands = [each for each in strands if each.length >= SHORTEST_ROPE * each.width]
-    ropes = [_rope(strand, region) for strand in _joined(strands, region, picture, gap)]
+    strands = _joined(strands, region, picture, gap)
+    ropes = [_rope(strand, strands, region) for strand in strands]
     if not ropes and not refusal:
         refusal = f"nothing in the mask is {SHORTEST_ROPE:.2g} times as long as it is wide"
     return sorted(ropes, key=lambda rope: -rope.curve.size), refusal
@@ -50,7 +51,7 @@ def _joined(strands: list[Strand], region: Region, picture: Picture | None, narr
     away = [strand.curve[:: 1 - 2 * e] for strand in strands for e in (0, 1)]
     widths = [strand.width for strand in strands for _ in (0, 1)]
     lies = np.array([lies for strand in strands for lies in strand.inside], bool)
-    across = [reach_beyond(away[i], widths[i], region)[0] if lies[i] else 0.0 for i in range(len(away))]
+    across = [len(_goes_on(away[i], widths[i], region)) if lies[i] else 0.0 for i in range(len(away))]
     price = np.full((len(away), len(away)), np.inf)
     np.fill_diagonal(price, np.where(lies, ONTO, END))
     gaps: dict[tuple[int, int], float] = {}
@@ -88,10 +89,11 @@ def _chained(strands: list[Strand], route: list[int], margin: Array) -> Strand:
     return Strand(even(curve, bridged, width)[0], width, inside, doubts=tuple(doubts))
 
 
-def _rope(strand: Strand, region: Region) -> SceneObject:
+def _rope(strand: Strand, strands: list[Strand], region: Region) -> SceneObject:
+    """Return one of all strands as a rope."""
     doubts = list(strand.doubts)
     ends = [strand.curve[:: 1 - 2 * e] for e in (0, 1) if strand.inside[e]]
-    if any(reach_beyond(end, strand.width, region)[1] for end in ends):
+    if any(_sticks_out(end, strand.width, strands, region) for end in ends):
         doubts.append("it ends on another rope, and something sticks out beyond it")
     if strand.closed:
         doubts.append("it is a closed ring: where it begins is unknown")
@@ -100,32 +102,15 @@ def _rope(strand: Strand, region: Region) -> SceneObject:
     return SceneObject(axis, strand.width)
 
 
-def reach_beyond(curve: Array, width: float, region: Region) -> tuple[float, bool]:
-    """Return how far a mask goes straight on where a strand ends on another rope, and whether it sticks out of that.
+def _goes_on(curve: Array, width: float, region: Region) -> Array:
+    """Return the places of a mask straight on from a strand's first point, which lies on another rope: ``(P, 2)``."""
+    ahead = -lead(curve, width).heading
+    places = curve[0] + np.arange(_NEAR * width + 2)[:, None] * (ahead.real, ahead.imag)
+    return places[: np.argmin(np.append(region.contains(places), False))]
 
-    Args:
-        curve: ``(P, 2)`` pixels, from the end that lies on another rope.
-        width: Of the strand, pixels.
-        region: The mask.
-    """
-    ahead, reach = -lead(curve, width).heading, int(_NEAR * width) + 2
-    column, row = int(curve[0, 0]) - region.window.left, int(curve[0, 1]) - region.window.top
-    left, top = max(column - 2 * reach, 0), max(row - 2 * reach, 0)
-    near = np.pad((region.mask[top : row + 2 * reach, left : column + 2 * reach] > 0).view(np.uint8), 1)
-    depth = np.asarray(cv2.distanceTransform(near, cv2.DIST_L2, 5))
-    start = curve[0] - (region.window.left + left - 1, region.window.top + top - 1)
 
-    def deep(places: Array) -> Array:
-        at = np.clip(np.rint(places).astype(np.intp), 0, np.array(depth.shape[::-1]) - 1)  # the frame is background
-        return depth[at[:, 1], at[:, 0]].astype(np.float64)
-
-    along = np.append(deep(start + np.arange(reach)[:, None] * ahead), 0.0)
-    stop = int(np.argmin(along > 0))
-    axis = int(np.argmax(along[: max(min(stop, int(2 * width) + 2), 1)]))
-    # The other rope runs where the mask is thick to both sides; its border is a radius over the sine from its axis.
-    angles = np.deg2rad(np.arange(0.0, 180.0, 6.0))
-    ways = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    sides = [deep(start + axis * ahead + side * 2 * along[axis] * ways) for side in (-1, 1)]
-    way = ways[np.argmax(sides[0] + sides[1])]
-    sine = abs(float(ahead[0] * way[1] - ahead[1] * way[0]))
-    return float(stop), bool((stop - axis) * sine > _STICKS_OUT * along[axis])
+def _sticks_out(curve: Array, width: float, strands: list[Strand], region: Region) -> bool:
+    """Return whether a mask goes on beyond all ropes where a strand ends on another one."""
+    last = _goes_on(curve, width, region)[-1:]
+    near = ((nearest_on(other.curve, last)[1] <= _STICKS_OUT * other.width / 2).all() for other in strands)
+    return not any(near)
