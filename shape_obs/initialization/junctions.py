@@ -29,7 +29,6 @@ Index = npt.NDArray[np.intp]
 _ALONE: Final = 0.56  # radius over width: one strand has 0.5, and is thicker by noise alone
 _ONE: Final = 0.76  # radius over width, below which strands lie on each other: in crossings it is 0.5 to 0.71
 _TWO: Final = 0.84  # radius over width, above which they lie side by side: there it is 0.9 to 1
-_OVERLAPPING: Final = 0.9  # of the radii of two nodes: a shorter branch lies between strands, not along one
 _BLOB: Final = 4.0  # widths: a shorter branch thicker than a strand lies where three or more cross in nearly one place
 _JITTER: Final = 0.2  # widths within which the largest radius counts: a skeleton is a pixel off the axis at places
 _PER_WIDTH: Final = (3.0, 0.2)  # nats that a width of a shared branch costs as thick as one strand, and as two
@@ -71,7 +70,7 @@ def merge_nodes(skeleton: Skeleton) -> Skeleton:
 def _is_inner(branch: Branch, degree: Counter[int], width: float) -> bool:
     if min(degree[node] for node in branch.nodes) < 3 or branch.nodes[0] == branch.nodes[1]:
         return False
-    if branch.length < _OVERLAPPING * float(branch.radius[0] + branch.radius[-1]):
+    if branch.length < branch.radius[0] + branch.radius[-1]:
         return True
     if branch.length >= _BLOB * width:
         return False

@@ -6,22 +6,26 @@ import math
 from itertools import combinations
 from typing import Final
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.polyline import nearest_on
+from shape_obs.image.find_region import find_region
+from shape_obs.image.outline_tracing import SPECK
 from shape_obs.image.region import Region
 from shape_obs.initialization.appearance import Picture, look_of_end, misfit
 from shape_obs.initialization.medial_axis import even, find_strands
 from shape_obs.initialization.objects import SHORTEST_ROPE, SceneObject
 from shape_obs.initialization.pairing import END, NARROW, ONTO, SURE, cheapest_pairing, lead, price_of, routes
-from shape_obs.initialization.pinholes import without_pinholes
+from shape_obs.initialization.skeleton import MOST_BRANCHES
 from shape_obs.initialization.strand_curves import Strand, join
 
 Array = npt.NDArray[np.float64]
 
 _NEAR: Final = 5.0  # widths beyond an end on another rope, in which a mask is looked at
+_PINHOLE: Final = 0.8  # widths from a hole to the border if it is filled: in a strand 0.5, a crossing 0.7, a loop 1
 _STICKS_OUT: Final = 1.5  # times as far as a rope's border, straight on, reaches a mask if something sticks out of it
 
 
@@ -33,7 +37,7 @@ def find_ropes(region: Region, picture: Picture | None = None, gap: float = NARR
         picture: ``(H, W, 3)`` RGB, in which ropes may have colours of their own; None without one.
         gap: How wide a gap between two pieces of a rope costs a nat, widths; one of three nats is bridged if straight.
     """
-    strands, refusal = find_strands(without_pinholes(region), picture, several=True)
+    strands, refusal = find_strands(_without_pinholes(region), picture, several=True)
     strands = [each for each in strands if each.length >= SHORTEST_ROPE * each.width]
     strands = _joined(strands, region, picture, gap)
     ropes = [_rope(strand, strands, region) for strand in strands]
@@ -114,3 +118,39 @@ def _sticks_out(curve: Array, width: float, strands: list[Strand], region: Regio
     last = _goes_on(curve, width, region)[-1:]
     near = ((nearest_on(other.curve, last)[1] <= _STICKS_OUT * other.width / 2).all() for other in strands)
     return not any(near)
+
+
+def _without_pinholes(region: Region) -> Region:
+    """Fill the holes of a mask that lie within one rope, or within the crossing of two.
+
+    Each of them would make the rope two thin strands side by side.
+
+    Args:
+        region: The mask of any number of ropes.
+
+    Returns:
+        The mask without them; the region itself if there are none.
+    """
+    traced = region.traced
+    width = traced.widths[traced.holes[:, 0].astype(np.intp)]
+    some = (traced.holes[:, 3] >= SPECK) & (traced.holes[:, 5] < np.pi * (_PINHOLE * width) ** 2 + 1.0)
+    if not some.any() or np.count_nonzero(some) > MOST_BRANCHES:
+        return region
+    mask, found = (region.mask > 0).astype(np.uint8), False
+    left, top = region.window[:2]
+    for hole, across in zip(traced.holes[some], width[some], strict=True):
+        column, row = int(hole[1]) - left + 1, int(hole[2]) - top
+        if mask[row, column]:
+            continue
+        box = cv2.floodFill(mask, None, (column, row), (2.0,), flags=4)[3]
+        margin = int(across) + 2
+        area = np.s_[
+            max(box[1] - margin, 0) : box[1] + box[3] + margin, max(box[0] - margin, 0) : box[0] + box[2] + margin
+        ]
+        near = mask[area]
+        inside = near == 2
+        depth = cv2.distanceTransform((near > 0).view(np.uint8), cv2.DIST_L2, 5)
+        fills = float(np.asarray(depth)[inside].max()) <= _PINHOLE * across
+        near[inside] = 1 if fills else 0
+        found |= fills
+    return find_region(mask, region.window, 1, 0.0) if found else region
