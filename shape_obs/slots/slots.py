@@ -44,7 +44,6 @@ Array = npt.NDArray[np.float64]
 
 _PIECE: Final = 1.5  # widths: a piece of a rope that something cuts lies no farther from where the rope is expected
 _FAR: Final = 0.1  # of the diagonal, in an interval: an object that is found farther from a track is another one
-_MISSED: Final = 5.0  # intervals without an object after which it is expected no farther away
 _PATIENCE: Final = 10  # frames between two searches for objects that do not come: these take longer than a frame
 
 #: The compiled functions that slots may call.
@@ -196,8 +195,7 @@ class Slots:
         far = _FAR * math.hypot(*seen.scene.size)
         # What was lost for long may be anywhere, but so may be what has come instead.
         reach = [
-            0.0 if each is None else NEXT_TO * width if each.lost else far * min(each.intervals, _MISSED)
-            for each in seen.expected
+            0.0 if each is None else NEXT_TO * width if each.lost else far * each.intervals for each in seen.expected
         ]
         lengths = [(track is not None and track.length_in_image) or math.inf for track in seen.tracks]
         away = distances(objects, seen.ahead)
