@@ -59,7 +59,7 @@ class Clusterer(Clustering):
 
 
 def fit_quietly(estimator: Any, points: npt.NDArray[np.float64]) -> Any:
-    """Fit an estimator of scikit-learn to ``(M, D)`` points in one thread; ``Centres`` tell whether it settled."""
+    """Fit an estimator of scikit-learn to ``(M, D)`` points in one thread; ``Centres`` show whether it settled."""
     from sklearn.exceptions import ConvergenceWarning
 
     with single_thread(), warnings.catch_warnings():

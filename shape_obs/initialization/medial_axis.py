@@ -22,6 +22,7 @@ from shape_obs.initialization.pairing import (
     bending,
     cheapest_order,
     cheapest_pairing,
+    first_chord,
     lead,
     price_of,
     routes,
@@ -50,7 +51,7 @@ _TURNS_BACK: Final = 1.8  # rad^2, see ``bending``: an arc of 155 degrees, which
 #: The compiled functions that finding an axis in a mask may call.
 AXIS_FUNCTIONS: Final = (
     closest_sides, unexplained_share, fill_holes, thin_pixels, trace_skeleton, middle_value, smooth_curve, middle_part,
-    joint, hermite, cheapest_order, cheapest_pairing,
+    joint, first_chord, hermite, cheapest_order, cheapest_pairing,
 )  # fmt: skip
 
 

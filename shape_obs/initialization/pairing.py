@@ -48,12 +48,17 @@ def lead(curve: Array, width: float, chord: float = CHORD) -> Lead:
 
     On a bend a chord is parallel to the tangent in its middle, so the two belong together.
     """
-    curve = np.ascontiguousarray(curve)
+    return Lead(*first_chord(np.ascontiguousarray(curve), chord * width))
+
+
+@compiled("(f8[:,::1], f8)")
+def first_chord(curve: Array, reach: float) -> tuple[complex, complex]:
+    """Return the point in the middle of the first ``reach`` pixels of a curve, and the direction of their chord."""
     arc = arc_length(curve)
-    reach = min(chord * width, arc.item(-1))
-    points = interpolate(curve, arc, np.array([0.0, reach / 2, reach]))  # (3, 2)
-    start, middle, end = (complex(u, v) for u, v in points.tolist())
-    return Lead(middle, (end - start) / max(abs(end - start), 1e-9))
+    reach = min(reach, arc[-1])
+    start, middle, end = interpolate(curve, arc, np.array([0.0, reach / 2, reach]))
+    chord = complex(end[0] - start[0], end[1] - start[1])
+    return complex(middle[0], middle[1]), chord / max(abs(chord), 1e-9)
 
 
 def bending(before: Lead, after: Lead) -> float:

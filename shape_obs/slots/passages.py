@@ -11,12 +11,14 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import NO_VALUES
-from shape_obs.geometry.polyline import interpolate, nearest_on
+from shape_obs.geometry.polyline import interpolate
 from shape_obs.geometry.rotation import fit
 from shape_obs.slots.attempts import Attempt, Seen, in_image
 from shape_obs.tracking.exchanges import TOUCH
 from shape_obs.tracking.predict import Track
+from shape_obs.tracking.scene_doubt import sides_of
 from shape_obs.tracking.state import State
 
 Array = npt.NDArray[np.float64]
@@ -169,24 +171,38 @@ def _laid_onto(own: Array, other: Array) -> Array:
     """Return ``(K, D)`` nodes of a rope in its own shape, laid onto another rope without being turned round."""
     if (other[-1] - other[0]) @ (own[-1] - own[0]) < 0:
         other = np.ascontiguousarray(other[::-1])
-    return np.ascontiguousarray(fit(own, _by_number(other, len(own))).apply(own))
+    target = interpolate(other, np.arange(float(len(other))), np.linspace(0.0, len(other) - 1.0, len(own)))
+    return np.ascontiguousarray(fit(own, target).apply(own))
 
 
 def _apart(one: Array, other: Array, far: float) -> float:
     """Return within which distance of another rope a share of a rope's nodes lies; inf if they are far apart."""
     if (one.max(axis=0) < other.min(axis=0) - far).any() or (other.max(axis=0) < one.min(axis=0) - far).any():
         return math.inf
-    return float(np.quantile(nearest_on(other, one)[1], _SHARE))
+    return float(np.quantile(sides_of(one, other)[0], _SHARE))
 
 
+@compiled("(f8[:,::1], f8[:,::1])")
 def change_of_headings(nodes: Array, before: Array) -> float:
     """Return the RMS difference of the headings of two polylines, in radians, but for a rotation."""
-    count = max(len(nodes), len(before))
-    steps = [np.diff(_by_number(each, count), axis=0) for each in (nodes, before)]  # (P, 2)
-    now, then = (np.arctan2(step[:, 1], step[:, 0]) for step in steps)
-    return float(np.std(np.unwrap(now - then)))
+    count = max(len(nodes), len(before)) - 1
+    total = squares = difference = 0.0
+    for k in range(count):
+        angle = _heading(nodes, k, count) - _heading(before, k, count)
+        difference += (angle - difference + np.pi) % (2 * np.pi) - np.pi  # goes on from piece to piece
+        total += difference
+        squares += difference * difference
+    return np.sqrt(max(squares / count - (total / count) ** 2, 0.0))
 
 
-def _by_number(nodes: Array, count: int) -> Array:
-    """Return ``(count, D)`` points of a polyline at equal steps of the node's number."""
-    return interpolate(nodes, np.arange(float(len(nodes))), np.linspace(0.0, len(nodes) - 1.0, count))
+@compiled
+def _heading(nodes: Array, piece: int, count: int) -> float:
+    """Return the heading of one of ``count`` pieces of a polyline, in radians."""
+    u = v = 0.0
+    for end in range(2):
+        at = (piece + end) * (len(nodes) - 1) / count
+        k = min(int(at), len(nodes) - 2)
+        share, sign = at - k, 2 * end - 1
+        u += sign * (nodes[k, 0] + share * (nodes[k + 1, 0] - nodes[k, 0]))
+        v += sign * (nodes[k, 1] + share * (nodes[k + 1, 1] - nodes[k, 1]))
+    return np.arctan2(v, u)

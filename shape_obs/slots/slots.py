@@ -12,13 +12,14 @@ import numpy.typing as npt
 
 from shape_obs.config.detector_config import DetectorConfig
 from shape_obs.configurations.base import Configuration
-from shape_obs.geometry.polyline import catmull_rom, nearest_along
+from shape_obs.geometry.polyline import catmull_rom
 from shape_obs.image.connected_runs import draw_components
 from shape_obs.image.pieces import component_parts, split_components
 from shape_obs.image.region import Region
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.image.sharing import EXPECTED, FOUND, MOST, TRACED, WIDE, Reach, owned_runs, part_of, share, share_pixels
 from shape_obs.initialization.appearance import middle_width
+from shape_obs.initialization.pairing import first_chord
 from shape_obs.initialization.strand_curves import sharp_turns
 from shape_obs.shape import Shape
 from shape_obs.slots.attempts import (
@@ -31,12 +32,12 @@ from shape_obs.slots.attempts import (
     kept_apart,
     price_of,
 )  # fmt: skip
-from shape_obs.slots.passages import Lying, Passages, better, lying_of, moved
+from shape_obs.slots.passages import Lying, Passages, better, change_of_headings, lying_of, moved
 from shape_obs.tracker import Tracker
 from shape_obs.tracking.exchanges import meetings
 from shape_obs.tracking.predict import Fit
 from shape_obs.tracking.scene import Scene
-from shape_obs.tracking.scene_doubt import NEXT_TO, bending_energy
+from shape_obs.tracking.scene_doubt import NEXT_TO, bending_energy, sides_of
 from shape_obs.tracking.seats import add_pieces, distances, seat_others, seat_tracked
 from shape_obs.tracking.state import LENGTH
 
@@ -48,8 +49,8 @@ _PATIENCE: Final = 10  # frames between two searches for objects that do not com
 
 #: The compiled functions that slots may call.
 SLOT_FUNCTIONS: Final = (
-    share_pixels, split_components, owned_runs, draw_components, nearest_along, bending_energy, sharp_turns, meetings,
-    middle_width,
+    share_pixels, split_components, owned_runs, draw_components, sides_of, bending_energy, sharp_turns, first_chord,
+    meetings, middle_width, change_of_headings,
 )  # fmt: skip
 _NOTHING: Final = "no other object was found in the mask"
 

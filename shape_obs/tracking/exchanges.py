@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
-from shape_obs.geometry.polyline import arc_length
 from shape_obs.initialization.pairing import CHORD, bending, lead
 
 Array = npt.NDArray[np.float64]
@@ -32,9 +31,10 @@ def exchange_gain(first: FittedCurve, second: FittedCurve, width: float) -> floa
     gain = 0.0
     met = meetings(np.ascontiguousarray(first.points), np.ascontiguousarray(second.points), TOUCH * width)
     for start, last, low, high in met.tolist():
-        # How each rope goes on to both sides of the place.
-        ways = first.points[start::-1], first.points[last:], second.points[low::-1], second.points[high:]
-        if min(arc_length(np.ascontiguousarray(way))[-1] for way in ways) >= CHORD * width:
+        arc, other = first.arc, second.arc
+        if min(arc[start], arc[-1] - arc[last], other[low], other[-1] - other[high]) >= CHORD * width:
+            # How each rope goes on to both sides of the place.
+            ways = first.points[start::-1], first.points[last:], second.points[low::-1], second.points[high:]
             before, after, other_before, other_after = (lead(way, width) for way in ways)
             crosswise = bending(before, other_after) + bending(other_before, after)
             turned = bending(before, other_before) + bending(after, other_after)
@@ -55,13 +55,16 @@ def meetings(points: Array, other: Array, near: float) -> Indices:
     Returns:
         ``(M, 4)`` the first and the last point of a stretch, and the first and the last that are nearest to it.
     """
-    found, size, meets = np.empty((len(points) // 2 + 1, 4), np.int64), 0, False
+    found, size, meets, step = np.empty((len(points) // 2 + 1, 4), np.int64), 0, False, 1e-9
+    for q in range(1, len(other)):
+        step = max(step, np.hypot(other[q, 0] - other[q - 1, 0], other[q, 1] - other[q - 1, 1]))
     for p in range(len(points)):
-        least, nearest = near * near, -1
-        for q in range(len(other)):
+        least, nearest, q = near * near, -1, 0
+        while q < len(other):
             square = (other[q, 0] - points[p, 0]) ** 2 + (other[q, 1] - points[p, 1]) ** 2
             if square < least:
                 least, nearest = square, q
+            q += max(int((np.sqrt(square) - near) / step), 1)  # those between are too far away
         if nearest >= 0 and not meets:
             found[size, 0], found[size, 2], found[size, 3] = p, nearest, nearest
             size += 1

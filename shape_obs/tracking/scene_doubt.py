@@ -11,7 +11,6 @@ import numpy.typing as npt
 from shape_obs.compiled import compiled
 from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.observed import Observed
-from shape_obs.geometry.polyline import arc_length, nearest_on
 from shape_obs.image.region import Region
 from shape_obs.initialization.strand_curves import sharp_turns
 
@@ -55,7 +54,7 @@ def doubt_where_they_meet(
         found: ``(J, 2)`` each, the curves of the others.
         width: Of the rope, pixels.
     """
-    seen = form.points[~form.interpolated][::4]  # a width apart
+    seen = np.ascontiguousarray(form.points[~form.interpolated][::4])  # a width apart
     if taken_over(seen, own, lost, width) > _TAKEN or taken_over(seen, own, found, width) > _MOST:
         return "what was found lies where another rope was"
     return "what was found turns sharply where ropes meet" if doubtful_turns(form, width) else ""
@@ -72,7 +71,8 @@ def claims_the_same(form: FittedCurve, other: FittedCurve, width: float) -> bool
     hidden = form.unsupported_fraction
     if hidden <= max(_HIDDEN, other.unsupported_fraction):
         return False
-    _, away = nearest_on(other.points, form.points[~form.interpolated][::4])
+    seen = np.ascontiguousarray(form.points[~form.interpolated][::4])
+    away, _ = sides_of(seen, np.ascontiguousarray(other.points))
     return len(away) > 0 and bool(np.mean(away < width / 2) > _MOST)
 
 
@@ -129,8 +129,8 @@ def taken_over(points: Array, own: Array, others: Sequence[Array], margin: float
     """
     if not others or not len(points):
         return 0.0
-    least = np.min([nearest_on(other, points)[1] for other in others], axis=0)
-    return float(np.mean(nearest_on(own, points)[1] > least + margin))
+    least = np.min([sides_of(points, other)[0] for other in others], axis=0)
+    return float(np.mean(sides_of(points, own)[0] > least + margin))
 
 
 def changed_sides(before: Array, other_before: Array, after: Array, other_after: Array, width: float) -> bool:
@@ -143,19 +143,38 @@ def changed_sides(before: Array, other_before: Array, after: Array, other_after:
         other_after: ``(J, 2)`` those of the other one.
         width: Of the ropes, pixels.
     """
-    was, now = side_distances(before, other_before), side_distances(after, other_after)
-    near = (np.abs(was) < NEXT_TO * width) & (np.abs(now) < NEXT_TO * width)
-    changed = near & (was * now < 0)
+    (was, side_before), (now, side) = sides_of(before, other_before), sides_of(after, other_after)
+    near = (np.maximum(was, now) < NEXT_TO * width) & (side_before * side != 0)
+    changed = near & (side_before != side)
     count = np.count_nonzero(near)
     if count < _LEAST or np.count_nonzero(changed) < _MOST * count:
         return False
-    return bool(np.median(np.abs(now[changed])) > _BESIDE * width)
+    return bool(np.median(now[changed]) > _BESIDE * width)
 
 
-def side_distances(points: Array, curve: Array) -> Array:
-    """Return the distance of ``(N, 2)`` points from a polyline, negative on its left; inf beyond its ends."""
-    arc, (at, away) = arc_length(curve), nearest_on(curve, points)
-    piece = np.clip(np.searchsorted(arc, at, "right"), 1, len(arc) - 1)
-    (along_u, along_v), (off_u, off_v) = (curve[piece] - curve[piece - 1]).T, (points - curve[piece - 1]).T
-    signed = np.where(along_v * off_u > along_u * off_v, -away, away)
-    return np.where((at > 0) & (at < arc[-1]), signed, np.inf)
+@compiled("(f8[:,::1], f8[:,::1])")
+def sides_of(points: Array, curve: Array) -> tuple[Array, Array]:
+    """Return how far points lie from a polyline, and on which side of it.
+
+    Args:
+        points: ``(N, 2)`` pixels.
+        curve: ``(K, 2)`` pixels.
+
+    Returns:
+        ``(N,)`` distances, pixels, and ``(N,)`` sides: -1 for the left as the image is seen, 1 for the right, 0 beyond
+        the ends.
+    """
+    away, side, last = np.empty(len(points)), np.zeros(len(points)), len(curve) - 2
+    for n in range(len(points)):
+        least = np.inf
+        for p in range(last + 1):
+            du, dv = curve[p + 1, 0] - curve[p, 0], curve[p + 1, 1] - curve[p, 1]
+            u, v = points[n, 0] - curve[p, 0], points[n, 1] - curve[p, 1]
+            share = (u * du + v * dv) / max(du * du + dv * dv, 1e-12)
+            inside = min(max(share, 0.0), 1.0)
+            square = (u - inside * du) ** 2 + (v - inside * dv) ** 2
+            if square < least:
+                beyond = (p == 0 and share < 0) or (p == last and share > 1)
+                least, side[n] = square, 0.0 if beyond else 1.0 if du * v > dv * u else -1.0
+        away[n] = np.sqrt(least)
+    return away, side
