@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,7 @@ import numpy.typing as npt
 from shape_obs.geometry.observed import Samples
 from shape_obs.geometry.topology import Topology
 from shape_obs.spec import Spec
+from shape_obs.utils.threads import single_thread
 
 
 class Centres(NamedTuple):
@@ -54,6 +56,15 @@ class Clusterer(Clustering):
             layout: How the N points of the shape are connected; ``layout.size`` = N.
             seed: Of what is drawn at random.
         """
+
+
+def fit_quietly(estimator: Any, points: npt.NDArray[np.float64]) -> Any:
+    """Fit an estimator of scikit-learn to ``(M, D)`` points in one thread; ``Centres`` show whether it settled."""
+    from sklearn.exceptions import ConvergenceWarning
+
+    with single_thread(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        return estimator.fit(points)
 
 
 def rms_spread(points: npt.NDArray[np.float64]) -> float:

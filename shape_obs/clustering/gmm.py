@@ -7,15 +7,13 @@ References:
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 
-from shape_obs.clustering.base import Centres, Clusterer, rms_spread
+from shape_obs.clustering.base import Centres, Clusterer, fit_quietly, rms_spread
 from shape_obs.geometry.observed import Samples
 from shape_obs.geometry.topology import Topology
-from shape_obs.utils.threads import single_thread
 
 
 @dataclass(frozen=True)
@@ -37,13 +35,10 @@ class GaussianMixture(Clusterer, kind="gmm"):
 
     def centres(self, samples: Samples, layout: Topology, seed: int) -> Centres:
         """Return the means."""
-        from sklearn.exceptions import ConvergenceWarning
         from sklearn.mixture import GaussianMixture as Estimator
 
         middle, scale = samples.points.mean(axis=0), rms_spread(samples.points)
         estimator = Estimator(layout.size, max_iter=self.max_iter, random_state=seed)
-        with single_thread(), warnings.catch_warnings():
-            warnings.simplefilter("ignore", ConvergenceWarning)  # ``settled`` reports it
-            estimator.fit((samples.points - middle) / scale)
+        fit_quietly(estimator, (samples.points - middle) / scale)
         places = np.asarray(estimator.means_, dtype=np.float64) * scale + middle
         return Centres(places, int(estimator.n_iter_), bool(estimator.converged_))

@@ -7,16 +7,14 @@ References:
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from shape_obs.clustering.base import Centres, Clusterer
+from shape_obs.clustering.base import Centres, Clusterer, fit_quietly
 from shape_obs.geometry.observed import Samples
 from shape_obs.geometry.topology import Topology
-from shape_obs.utils.threads import single_thread
 
 
 @dataclass(frozen=True)
@@ -39,13 +37,9 @@ class KMeans(Clusterer, kind="kmeans"):
     def centres(self, samples: Samples, layout: Topology, seed: int) -> Centres:
         """Return the centres."""
         from sklearn.cluster import KMeans as Estimator
-        from sklearn.exceptions import ConvergenceWarning
 
         n_init: Any = self.n_init  # scikit-learn's annotation allows "auto" alone
         estimator = Estimator(layout.size, n_init=n_init, max_iter=self.max_iter, random_state=seed)
-        with single_thread(), warnings.catch_warnings():
-            # Fewer places than clusters: some centres coincide, as the points do.
-            warnings.simplefilter("ignore", ConvergenceWarning)
-            estimator.fit(samples.points)
+        fit_quietly(estimator, samples.points)  # with fewer places than clusters, some centres coincide
         places = np.asarray(estimator.cluster_centers_, dtype=np.float64)
         return Centres(places, int(estimator.n_iter_), bool(estimator.n_iter_ < self.max_iter))

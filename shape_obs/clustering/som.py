@@ -37,7 +37,6 @@ Array = npt.NDArray[np.float64]
 _TRACE: Final = 1e-3  # of a mean bin's weight stays where a node is: an empty bin pulls it nowhere
 _RING_REACH: Final = 2  # nodes to either side among which a sample of an outline looks for its best-matching unit
 _FAR: Final = 6.0  # widths of a Gaussian, beyond which it counts as zero: there it is 1e-8
-_HALF: Final = np.float32(0.5)  # in single precision, as the scores are
 
 
 def run_som(samples: Samples, start: Array, topology: Topology, sigmas: tuple[float, ...]) -> Array:
@@ -183,7 +182,7 @@ def best_matching_units(points: Array, nodes: Array) -> npt.NDArray[np.int32]:
     for k in range(len(nodes)):
         u, v = np.float32(nodes[k, 0] - nodes[0, 0]), np.float32(nodes[k, 1] - nodes[0, 1])
         w = np.float32(nodes[k, 2] - nodes[0, 2]) if dimension == 3 else np.float32(0)
-        half, own = (u * u + v * v + w * w) * _HALF, np.int32(k)
+        half, own = (u * u + v * v + w * w) * np.float32(0.5), np.int32(k)
         for m in range(count):
             score = x[m] * u + y[m] * v + z[m] * w - half
             nearer = score > most[m]

@@ -19,7 +19,6 @@ Mask = npt.NDArray[np.uint8]
 _WIDER: Final = 2.3  # rope radii that a connector has at least: two strands side by side have 2, ragged ones 2.2
 _ENDS: Final = 1.45  # rope radii: where no larger circle fits in, a connector ends; crossing strands have 1.4
 _CORE: Final = _WIDER / _ENDS  # of a connector's radius over that of the circles that first separate it from its rope
-_LONG: Final = 2.0  # connector radii: a shorter arm is no rope, and so far along a rope its width is measured
 _HEAVIER: Final = 4.0  # times its rope's pixels: a larger part is an object with a tail, and no connector
 _THIN: Final = 20  # percentile of the radii along all axes: connectors of thinner ropes are not looked for
 _LEAST: Final = 1.5  # pixels of radius: thinner axes are noise
@@ -111,17 +110,17 @@ def _around(mask: Mask, radius: Array, middle: tuple[int, int], least: float) ->
 def _arms(mask: Mask, part: Mask, radius: Array, axis: npt.NDArray[np.bool_], middle: tuple[int, int]) -> _Arms:
     """Return the ropes that enter a part of a mask."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask & ~part, connectivity=8)
-    widest = float(radius[middle[1], middle[0]])
+    across = 2 * float(radius[middle[1], middle[0]])  # so far along a rope its width is measured
     away = np.asarray(cv2.distanceTransform(1 - part, cv2.DIST_L2, 5))
     touching = np.unique(labels[away < 2])  # next to it
-    rows, columns = np.nonzero(axis & (away < _LONG * widest))
+    rows, columns = np.nonzero(axis & (away < across))
     whole, thinnest, long, rest = part.copy(), math.inf, 0, 0
     for label in touching[touching > 0].tolist():
         own = labels[rows, columns] == label
         r = float(np.median(radius[rows[own], columns[own]])) if own.any() else _LEAST
         area = int(stats[label, cv2.CC_STAT_AREA])
         extent = float(away[labels == label].max())
-        if extent >= max(SHORTEST_ROPE * 2 * r, _LONG * widest):
+        if extent >= max(SHORTEST_ROPE * 2 * r, across):
             long, thinnest, rest = long + 1, min(thinnest, r), rest + area
         else:
             whole[labels == label] = 1

@@ -6,7 +6,7 @@ another one passes through the same zone.
 
 from __future__ import annotations
 
-import math
+from cmath import phase
 from itertools import combinations
 from typing import Final
 
@@ -88,8 +88,8 @@ def _set_prices(
 
     A strand passes between the others, as many to its left as to its right, or it touches some without crossing them.
     """
-    u, v = (sum(leads[end][d] for end in group) / len(group) for d in (0, 1))
-    around = sorted(group, key=lambda end: math.atan2(leads[end].v - v, leads[end].u - u))
+    middle = sum(leads[end].point for end in group) / len(group)
+    around = sorted(group, key=lambda end: phase(leads[end].point - middle))
     for (k, a), (n, b) in combinations(enumerate(around), 2):
         cost = price_of(leads[a], leads[b], width) + misfit(looks[a], looks[b])
         cost += _TOUCH * (abs(len(group) - 2 * (n - k)) // 2)

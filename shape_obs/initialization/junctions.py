@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Final, NamedTuple
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -28,7 +29,6 @@ Index = npt.NDArray[np.intp]
 _ALONE: Final = 0.56  # radius over width: one strand has 0.5, and is thicker by noise alone
 _ONE: Final = 0.76  # radius over width, below which strands lie on each other: in crossings it is 0.5 to 0.71
 _TWO: Final = 0.84  # radius over width, above which they lie side by side: there it is 0.9 to 1
-_OVERLAPPING: Final = 0.9  # of the radii of two nodes: a shorter branch lies between strands, not along one
 _BLOB: Final = 4.0  # widths: a shorter branch thicker than a strand lies where three or more cross in nearly one place
 _JITTER: Final = 0.2  # widths within which the largest radius counts: a skeleton is a pixel off the axis at places
 _PER_WIDTH: Final = (3.0, 0.2)  # nats that a width of a shared branch costs as thick as one strand, and as two
@@ -70,7 +70,7 @@ def merge_nodes(skeleton: Skeleton) -> Skeleton:
 def _is_inner(branch: Branch, degree: Counter[int], width: float) -> bool:
     if min(degree[node] for node in branch.nodes) < 3 or branch.nodes[0] == branch.nodes[1]:
         return False
-    if branch.length < _OVERLAPPING * float(branch.radius[0] + branch.radius[-1]):
+    if branch.length < branch.radius[0] + branch.radius[-1]:
         return True
     if branch.length >= _BLOB * width:
         return False
@@ -144,11 +144,9 @@ def follow(branch: Branch, starts: list[int], ends: list[int], leads: dict[int, 
         leads: How they leave.
         width: Of one strand, pixels.
     """
-    from scipy.ndimage import maximum_filter1d  # takes 0.2 s to import
-
     arc = arc_length(np.ascontiguousarray(branch.points))
     steps = round(_JITTER * width * (len(arc) - 1) / max(float(arc[-1]), 1e-9))
-    thick = maximum_filter1d(branch.radius, 2 * steps + 1) / width
+    thick = np.asarray(cv2.dilate(branch.radius[:, None], np.ones((2 * steps + 1, 1))), np.float64)[:, 0] / width
     if _ONE <= thick.min() < _TWO:
         return None
     waists, start = [0], -1
@@ -173,6 +171,6 @@ def follow(branch: Branch, starts: list[int], ends: list[int], leads: dict[int, 
 
 def _by_side(ends: list[int], leads: dict[int, Lead], on: Array, way: int) -> list[int]:
     """Return ends from left to right, as seen along a shared branch with a point on it, which they enter or leave."""
-    middle = np.mean([leads[end].point for end in ends], axis=0)
-    ahead = way * (on - middle)
-    return sorted(ends, key=lambda end: float((leads[end].point - middle) @ (-ahead[1], ahead[0])))
+    middle = sum(leads[end].point for end in ends) / len(ends)
+    ahead = way * (complex(*on) - middle)
+    return sorted(ends, key=lambda end: ((leads[end].point - middle) * ahead.conjugate()).imag)

@@ -8,8 +8,9 @@ which end goes on as which other one, and which ends there. All pairings of ends
 from __future__ import annotations
 
 import math
+from cmath import phase
 from collections.abc import Iterable
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -31,22 +32,15 @@ MOST: Final = 10  # ends, or pieces of a rope, of which all pairings are compare
 
 
 class Lead(NamedTuple):
-    """How a strand leaves a zone or a gap: from a point (u, v) where it is clear of it, in pixels, away from it."""
+    """How a strand leaves a zone or a gap, in the complex plane u + v i of pixels.
 
-    u: float
-    v: float
-    heading_u: float
-    heading_v: float
+    Args:
+        point: Where it is clear of the place.
+        heading: Of length 1, away from the place.
+    """
 
-    @property
-    def point(self) -> Array:
-        """``(2,)`` pixels."""
-        return np.array([self.u, self.v])
-
-    @property
-    def heading(self) -> Array:
-        """``(2,)`` unit vector, away from the zone."""
-        return np.array([self.heading_u, self.heading_v])
+    point: complex
+    heading: complex
 
 
 def lead(curve: Array, width: float, chord: float = CHORD) -> Lead:
@@ -58,13 +52,13 @@ def lead(curve: Array, width: float, chord: float = CHORD) -> Lead:
 
 
 @compiled("(f8[:,::1], f8)")
-def first_chord(curve: Array, reach: float) -> tuple[float, float, float, float]:
+def first_chord(curve: Array, reach: float) -> tuple[complex, complex]:
     """Return the point in the middle of the first ``reach`` pixels of a curve, and the direction of their chord."""
     arc = arc_length(curve)
     reach = min(reach, arc[-1])
     start, middle, end = interpolate(curve, arc, np.array([0.0, reach / 2, reach]))
-    along = max(np.hypot(end[0] - start[0], end[1] - start[1]), 1e-9)
-    return middle[0], middle[1], (end[0] - start[0]) / along, (end[1] - start[1]) / along
+    chord = complex(end[0] - start[0], end[1] - start[1])
+    return complex(middle[0], middle[1]), chord / max(abs(chord), 1e-9)
 
 
 def bending(before: Lead, after: Lead) -> float:
@@ -73,15 +67,9 @@ def bending(before: Lead, after: Lead) -> float:
     Both headings point away from the gap. Of a cubic that turns by a and b from its chord at its ends the energy is
     4 (a^2 - a b + b^2) over its length: an arc is cheaper than an S.
     """
-    u, v = after.u - before.u, after.v - before.v
-    first = _turn(-before.heading_u, -before.heading_v, u, v)
-    second = _turn(u, v, after.heading_u, after.heading_v)
+    chord = after.point - before.point
+    first, second = phase(-chord * before.heading.conjugate()), phase(after.heading * chord.conjugate())
     return first * first - first * second + second * second
-
-
-def _turn(u: float, v: float, next_u: float, next_v: float) -> float:
-    """Return the signed angle from one direction to another, radians."""
-    return math.atan2(u * next_v - v * next_u, u * next_u + v * next_v)
 
 
 def price_of(before: Lead, after: Lead, width: float) -> float:
@@ -94,8 +82,7 @@ def price_of(before: Lead, after: Lead, width: float) -> float:
         after: How the other one does.
         width: Of the rope, pixels.
     """
-    length = math.hypot(after.u - before.u, after.v - before.v) + width
-    return _STIFFNESS * bending(before, after) * width / length
+    return _STIFFNESS * bending(before, after) * width / (abs(after.point - before.point) + width)
 
 
 @compiled("(f8[:,::1],)")
@@ -128,14 +115,28 @@ def cheapest_pairing(price: Array) -> tuple[Index, Array]:
                     dearer[i, j] = price[i, j] - alone[i] - alone[j] * (i != j)
             _pair_in_turn(dearer, partner, margin, np.arange(count))
         elif len(ends) > 1:
-            total, others = _pair(price, ends, partner), partner.copy()
-            for i in ends:
-                j = partner[i]
-                if i <= j:
-                    kept, price[i, j], price[j, i] = price[i, j], np.inf, np.inf
-                    margin[i] = margin[j] = _pair(price, ends, others) - total
-                    price[i, j] = price[j, i] = kept
+            _solve(_pair, price, ends, partner, margin)
     return partner, margin
+
+
+@compiled
+def _solve(cheapest: Any, price: Array, ends: Index, partner: Index, margin: Array) -> None:
+    """Write the cheapest choice of pairs into ``(E,)``, and by how much the best one without each pair is dearer.
+
+    Args:
+        cheapest: ``_pair`` or ``_order``.
+        price: ``(E, E)``.
+        ends: Those that are paired.
+        partner: ``(E,)``.
+        margin: ``(E,)``.
+    """
+    total, others = cheapest(price, ends, partner), partner.copy()
+    for i in ends:
+        j, kept = partner[i], price[i, partner[i]]
+        if i <= j and kept < np.inf:
+            price[i, j] = price[j, i] = np.inf
+            margin[i] = margin[j] = cheapest(price, ends, others) - total
+            price[i, j] = price[j, i] = kept
 
 
 @compiled
@@ -191,7 +192,7 @@ def cheapest_order(price: Array) -> tuple[Index, Array]:
     """Return the cheapest way through all pieces of a rope, as ends that follow each other, and how certain each is.
 
     Args:
-        price: ``(2n, 2n)`` of going on from each end to each other; end 2 i + e is of piece i.
+        price: ``(2n, 2n)`` of going on from each end to each other; end 2 i + e is of piece i; inf in the diagonal.
 
     Returns:
         ``(2n,)`` the end that each goes on as, itself at the two ends of the rope, and ``(2n,)`` the margin of that,
@@ -201,21 +202,15 @@ def cheapest_order(price: Array) -> tuple[Index, Array]:
     partner, margin = np.arange(size), np.full(size, np.inf)
     if size > 2 * MOST:
         _pair_in_turn(price.copy(), partner, margin, np.arange(size) ^ 1)
-        return partner, margin
-    total, others = _order(price, partner), partner.copy()
-    for i in range(size):
-        j = partner[i]
-        if i < j:
-            kept, price[i, j], price[j, i] = price[i, j], np.inf, np.inf
-            margin[i] = margin[j] = _order(price, others) - total
-            price[i, j] = price[j, i] = kept
+    else:
+        _solve(_order, price, np.arange(size), partner, margin)
     return partner, margin
 
 
 @compiled
-def _order(price: Array, partner: Index) -> float:
+def _order(price: Array, ends: Index, partner: Index) -> float:
     """Write the cheapest way through all pieces into ``(2n,)`` and return its price (Held and Karp, 1962)."""
-    size = len(price)
+    size = len(ends)
     full = (1 << size // 2) - 1
     best, came = np.full((full + 1, size), np.inf), np.zeros((full + 1, size), np.int64)
     for end in range(size):

@@ -11,17 +11,21 @@ import numpy as np
 import numpy.typing as npt
 
 from shape_obs.geometry.curve import FittedCurve
+from shape_obs.geometry.polyline import nearest_on
+from shape_obs.image.find_region import find_region
+from shape_obs.image.outline_tracing import SPECK
 from shape_obs.image.region import Region
 from shape_obs.initialization.appearance import Picture, look_of_end, misfit
 from shape_obs.initialization.medial_axis import even, find_strands
 from shape_obs.initialization.objects import SHORTEST_ROPE, SceneObject
 from shape_obs.initialization.pairing import END, NARROW, ONTO, SURE, cheapest_pairing, lead, price_of, routes
-from shape_obs.initialization.pinholes import without_pinholes
+from shape_obs.initialization.skeleton import MOST_BRANCHES
 from shape_obs.initialization.strand_curves import Strand, join
 
 Array = npt.NDArray[np.float64]
 
 _NEAR: Final = 5.0  # widths beyond an end on another rope, in which a mask is looked at
+_PINHOLE: Final = 0.8  # widths from a hole to the border if it is filled: in a strand 0.5, a crossing 0.7, a loop 1
 _STICKS_OUT: Final = 1.5  # times as far as a rope's border, straight on, reaches a mask if something sticks out of it
 
 
@@ -33,9 +37,10 @@ def find_ropes(region: Region, picture: Picture | None = None, gap: float = NARR
         picture: ``(H, W, 3)`` RGB, in which ropes may have colours of their own; None without one.
         gap: How wide a gap between two pieces of a rope costs a nat, widths; one of three nats is bridged if straight.
     """
-    strands, refusal = find_strands(without_pinholes(region), picture, several=True)
+    strands, refusal = find_strands(_without_pinholes(region), picture, several=True)
     strands = [each for each in strands if each.length >= SHORTEST_ROPE * each.width]
-    ropes = [_rope(strand, region) for strand in _joined(strands, region, picture, gap)]
+    strands = _joined(strands, region, picture, gap)
+    ropes = [_rope(strand, strands, region) for strand in strands]
     if not ropes and not refusal:
         refusal = f"nothing in the mask is {SHORTEST_ROPE:.2g} times as long as it is wide"
     return sorted(ropes, key=lambda rope: -rope.curve.size), refusal
@@ -50,7 +55,7 @@ def _joined(strands: list[Strand], region: Region, picture: Picture | None, narr
     away = [strand.curve[:: 1 - 2 * e] for strand in strands for e in (0, 1)]
     widths = [strand.width for strand in strands for _ in (0, 1)]
     lies = np.array([lies for strand in strands for lies in strand.inside], bool)
-    across = [reach_beyond(away[i], widths[i], region)[0] if lies[i] else 0.0 for i in range(len(away))]
+    across = [len(_goes_on(away[i], widths[i], region)) if lies[i] else 0.0 for i in range(len(away))]
     price = np.full((len(away), len(away)), np.inf)
     np.fill_diagonal(price, np.where(lies, ONTO, END))
     gaps: dict[tuple[int, int], float] = {}
@@ -88,10 +93,11 @@ def _chained(strands: list[Strand], route: list[int], margin: Array) -> Strand:
     return Strand(even(curve, bridged, width)[0], width, inside, doubts=tuple(doubts))
 
 
-def _rope(strand: Strand, region: Region) -> SceneObject:
+def _rope(strand: Strand, strands: list[Strand], region: Region) -> SceneObject:
+    """Return one of all strands as a rope."""
     doubts = list(strand.doubts)
     ends = [strand.curve[:: 1 - 2 * e] for e in (0, 1) if strand.inside[e]]
-    if any(reach_beyond(end, strand.width, region)[1] for end in ends):
+    if any(_sticks_out(end, strand.width, strands, region) for end in ends):
         doubts.append("it ends on another rope, and something sticks out beyond it")
     if strand.closed:
         doubts.append("it is a closed ring: where it begins is unknown")
@@ -100,32 +106,51 @@ def _rope(strand: Strand, region: Region) -> SceneObject:
     return SceneObject(axis, strand.width)
 
 
-def reach_beyond(curve: Array, width: float, region: Region) -> tuple[float, bool]:
-    """Return how far a mask goes straight on where a strand ends on another rope, and whether it sticks out of that.
+def _goes_on(curve: Array, width: float, region: Region) -> Array:
+    """Return the places of a mask straight on from a strand's first point, which lies on another rope: ``(P, 2)``."""
+    ahead = -lead(curve, width).heading
+    places = curve[0] + np.arange(_NEAR * width + 2)[:, None] * (ahead.real, ahead.imag)
+    return places[: np.argmin(np.append(region.contains(places), False))]
+
+
+def _sticks_out(curve: Array, width: float, strands: list[Strand], region: Region) -> bool:
+    """Return whether a mask goes on beyond all ropes where a strand ends on another one."""
+    last = _goes_on(curve, width, region)[-1:]
+    near = ((nearest_on(other.curve, last)[1] <= _STICKS_OUT * other.width / 2).all() for other in strands)
+    return not any(near)
+
+
+def _without_pinholes(region: Region) -> Region:
+    """Fill the holes of a mask that lie within one rope, or within the crossing of two.
+
+    Each of them would make the rope two thin strands side by side.
 
     Args:
-        curve: ``(P, 2)`` pixels, from the end that lies on another rope.
-        width: Of the strand, pixels.
-        region: The mask.
+        region: The mask of any number of ropes.
+
+    Returns:
+        The mask without them; the region itself if there are none.
     """
-    ahead, reach = -lead(curve, width).heading, int(_NEAR * width) + 2
-    column, row = int(curve[0, 0]) - region.window.left, int(curve[0, 1]) - region.window.top
-    left, top = max(column - 2 * reach, 0), max(row - 2 * reach, 0)
-    near = np.pad((region.mask[top : row + 2 * reach, left : column + 2 * reach] > 0).view(np.uint8), 1)
-    depth = np.asarray(cv2.distanceTransform(near, cv2.DIST_L2, 5))
-    start = curve[0] - (region.window.left + left - 1, region.window.top + top - 1)
-
-    def deep(places: Array) -> Array:
-        at = np.clip(np.rint(places).astype(np.intp), 0, np.array(depth.shape[::-1]) - 1)  # the frame is background
-        return depth[at[:, 1], at[:, 0]].astype(np.float64)
-
-    along = np.append(deep(start + np.arange(reach)[:, None] * ahead), 0.0)
-    stop = int(np.argmin(along > 0))
-    axis = int(np.argmax(along[: max(min(stop, int(2 * width) + 2), 1)]))
-    # The other rope runs where the mask is thick to both sides; its border is a radius over the sine from its axis.
-    angles = np.deg2rad(np.arange(0.0, 180.0, 6.0))
-    ways = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    sides = [deep(start + axis * ahead + side * 2 * along[axis] * ways) for side in (-1, 1)]
-    way = ways[np.argmax(sides[0] + sides[1])]
-    sine = abs(float(ahead[0] * way[1] - ahead[1] * way[0]))
-    return float(stop), bool((stop - axis) * sine > _STICKS_OUT * along[axis])
+    traced = region.traced
+    width = traced.widths[traced.holes[:, 0].astype(np.intp)]
+    some = (traced.holes[:, 3] >= SPECK) & (traced.holes[:, 5] < np.pi * (_PINHOLE * width) ** 2 + 1.0)
+    if not some.any() or np.count_nonzero(some) > MOST_BRANCHES:
+        return region
+    mask, found = (region.mask > 0).astype(np.uint8), False
+    left, top = region.window[:2]
+    for hole, across in zip(traced.holes[some], width[some], strict=True):
+        column, row = int(hole[1]) - left + 1, int(hole[2]) - top
+        if mask[row, column]:
+            continue
+        box = cv2.floodFill(mask, None, (column, row), (2.0,), flags=4)[3]
+        margin = int(across) + 2
+        area = np.s_[
+            max(box[1] - margin, 0) : box[1] + box[3] + margin, max(box[0] - margin, 0) : box[0] + box[2] + margin
+        ]
+        near = mask[area]
+        inside = near == 2
+        depth = cv2.distanceTransform((near > 0).view(np.uint8), cv2.DIST_L2, 5)
+        fills = float(np.asarray(depth)[inside].max()) <= _PINHOLE * across
+        near[inside] = 1 if fills else 0
+        found |= fills
+    return find_region(mask, region.window, 1, 0.0) if found else region

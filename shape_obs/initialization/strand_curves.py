@@ -105,13 +105,11 @@ def strand_curve(
     pieces = [np.ascontiguousarray(trimmed[end // 2][:: 1 - 2 * (end % 2)]) for end in route]
     if partner[route[0]] != route[0]:  # a ring is cut open where the first branch begins
         pieces.append(pieces[0][:1])
-    run = [pieces[0]]
-    for end, before, after in zip(route, pieces[:-1], pieces[1:], strict=False):
+    run = pieces[:1]
+    for end, after in zip(route, pieces[1:], strict=False):
         way = ways.get((end ^ 1, int(partner[end ^ 1])))
-        if way is not None and len(way) > _FOLLOWED * width:
-            run += [joint(before, way, width), way, joint(way, after, width), after]
-        else:
-            run += [joint(before, after, width), after]
+        for piece in (after,) if way is None or len(way) <= _FOLLOWED * width else (way, after):
+            run += [joint(run[-1], piece, width), piece]
     return np.concatenate(run)
 
 
@@ -119,24 +117,23 @@ def strand_curve(
 def joint(before: Array, after: Array, width: float) -> Array:
     """Return the points between two curves, with steps of about a pixel."""
     reach = max(int(np.rint(width / 2)), 1)
-    out = before[-1] - before[-min(reach + 1, len(before))]
-    into = after[min(reach, len(after) - 1)] - after[0]
-    out /= max(np.hypot(out[0], out[1]), 1e-9)
-    into /= max(np.hypot(into[0], into[1]), 1e-9)
-    return hermite(before[-1], out, after[0], into, 1.0)
+    back, ahead = before[-min(reach + 1, len(before))], after[min(reach, len(after) - 1)]
+    start, end = complex(before[-1, 0], before[-1, 1]), complex(after[0, 0], after[0, 1])
+    out, into = start - complex(back[0], back[1]), complex(ahead[0], ahead[1]) - end
+    return hermite(start, out / max(abs(out), 1e-9), end, into / max(abs(into), 1e-9), 1.0)
 
 
-@compiled("(f8[::1], f8[::1], f8[::1], f8[::1], f8)")
-def hermite(start: Array, out: Array, end: Array, into: Array, step: float) -> Array:
-    """Return a smooth curve between two points with given unit tangents along the way: ``(P, 2)``, without ends."""
-    length = np.hypot(end[0] - start[0], end[1] - start[1])
+@compiled("(c16, c16, c16, c16, f8)")
+def hermite(start: complex, out: complex, end: complex, into: complex, step: float) -> Array:
+    """Return a smooth curve ``(P, 2)`` between two points u + v i with given unit tangents along it, without ends."""
+    length = abs(end - start)
     pieces = max(int(np.rint(length / step)), 1)
     curve = np.empty((pieces - 1, 2))
     for p in range(pieces - 1):
         t = (p + 1) / pieces
-        for d in range(2):
-            curve[p, d] = (1 + 2 * t) * (1 - t) ** 2 * start[d] + t**2 * (3 - 2 * t) * end[d]
-            curve[p, d] += t * (1 - t) * length * ((1 - t) * out[d] - t * into[d])
+        place = (1 + 2 * t) * (1 - t) ** 2 * start + t**2 * (3 - 2 * t) * end
+        place += t * (1 - t) * length * ((1 - t) * out - t * into)
+        curve[p, 0], curve[p, 1] = place.real, place.imag
     return curve
 
 
@@ -152,7 +149,7 @@ def join(pieces: list[Array], width: float) -> tuple[Array, npt.NDArray[np.bool_
         piece = without_ragged_ends(piece, width, start=place > 0, end=place < len(pieces) - 1)
         if run:
             before, after = lead(run[-1][::-1], width, _TANGENT), lead(piece, width, _TANGENT)
-            run.append(hermite(run[-1][-1], -before.heading, piece[0], after.heading, width / 4))
+            run.append(hermite(complex(*run[-1][-1]), -before.heading, complex(*piece[0]), after.heading, width / 4))
         run.append(piece)
     is_gap = [np.full(len(part), i % 2 == 1) for i, part in enumerate(run)]
     return np.concatenate(run), np.concatenate(is_gap)

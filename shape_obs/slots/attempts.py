@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from shape_obs.geometry.curve import FittedCurve
 from shape_obs.geometry.observed import Observed
 from shape_obs.image.region import Region
 from shape_obs.image.sharing import CLOSE, share
@@ -49,6 +50,15 @@ class Attempt(NamedTuple):
     def is_found(self) -> bool:
         """Whether the object is seen, so that its track can follow it."""
         return not self.found.reason or self.found.follow
+
+    @property
+    def curve_in_image(self) -> FittedCurve | None:
+        """The curve of a rope that is seen, pixels; None in space."""
+        return self.found.form if self.is_found and self.found.form.points.shape[1] == 2 else None
+
+    def refused(self, reason: str) -> Attempt:
+        """Return the attempt without what was found."""
+        return self._replace(found=Fit(reason=reason))
 
 
 class Seen(NamedTuple):
@@ -129,36 +139,25 @@ def changes_of_sides(seen: Seen, tries: list[Attempt | None]) -> int:
 
 def kept_apart(seen: Seen, tries: list[Attempt | None]) -> list[Attempt | None]:
     """Refuse what was found where another rope is expected, or turns sharply: a rope's own part may be hidden."""
-    kept = list(tries)
-    for k, each in enumerate(tries):
-        own = seen.ahead[k]
-        if each is None or not each.is_found or each.found.form.points.shape[1] != 2:
+    kept, forms = list(tries), [None if each is None else each.curve_in_image for each in tries]
+    for k, (each, form, own) in enumerate(zip(tries, forms, seen.ahead, strict=True)):
+        if each is None or form is None:
             continue
-        form, lost, found = each.found.form, [], []
-        if own is None:
-            if folds_anew(form, each.observed, each.found.object_width):
-                kept[k] = each._replace(found=Fit(reason="what was found turns sharply where its axis does not"))
+        width, reason = each.found.object_width, ""
+        if own is not None:
+            others = [j for j in range(len(tries)) if j != k]
+            found = [curve.points for j in others if (curve := forms[j]) is not None]
+            lost = [at for j in others if forms[j] is None and (at := seen.ahead[j]) is not None]
+            reason = doubt_where_they_meet(form, own, lost, found, width)
+        elif folds_anew(form, each.observed, width):
+            reason = "what was found turns sharply where its axis does not"
+        kept[k] = each.refused(reason) if reason else each
+    for k, other in permutations(range(len(kept)), 2):  # one rope for each: of two, the one that is seen better
+        each, second = kept[k], kept[other]
+        if each is None or second is None or each.curve_in_image is None or second.curve_in_image is None:
             continue
-        for j, other in enumerate(tries):
-            if j != k and other is not None and other.is_found and other.found.form.points.shape[1] == 2:
-                found.append(other.found.form.points)
-            elif j != k and (at := seen.ahead[j]) is not None:
-                lost.append(at)
-        if reason := doubt_where_they_meet(form, own, lost, found, each.found.object_width):
-            kept[k] = each._replace(found=Fit(reason=reason))
-    return _one_rope_each(kept)
-
-
-def _one_rope_each(tries: list[Attempt | None]) -> list[Attempt | None]:
-    """Refuse what was found of a rope, a part of which is hidden, where another rope is that is seen better."""
-    kept = list(tries)
-    for one, other in permutations(range(len(kept)), 2):
-        first, second = kept[one], kept[other]
-        if first is None or second is None or not first.is_found or not second.is_found:
-            continue
-        forms, width = (first.found.form, second.found.form), first.found.object_width
-        if all(form.points.shape[1] == 2 for form in forms) and claims_the_same(*forms, width):
-            kept[one] = first._replace(found=Fit(reason="what was found belongs to another rope"))
+        if claims_the_same(each.curve_in_image, second.curve_in_image, each.found.object_width):
+            kept[k] = each.refused("what was found belongs to another rope")
     return kept
 
 

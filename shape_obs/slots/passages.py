@@ -18,7 +18,7 @@ from shape_obs.geometry.rotation import fit
 from shape_obs.slots.attempts import Attempt, Seen, in_image
 from shape_obs.tracking.exchanges import TOUCH
 from shape_obs.tracking.predict import Track
-from shape_obs.tracking.scene_doubt import nearest_distances
+from shape_obs.tracking.scene_doubt import sides_of
 from shape_obs.tracking.state import State
 
 Array = npt.NDArray[np.float64]
@@ -179,7 +179,7 @@ def _apart(one: Array, other: Array, far: float) -> float:
     """Return within which distance of another rope a share of a rope's nodes lies; inf if they are far apart."""
     if (one.max(axis=0) < other.min(axis=0) - far).any() or (other.max(axis=0) < one.min(axis=0) - far).any():
         return math.inf
-    return float(np.quantile(nearest_distances(one, other), _SHARE))
+    return float(np.quantile(sides_of(one, other)[0], _SHARE))
 
 
 @compiled("(f8[:,::1], f8[:,::1])")

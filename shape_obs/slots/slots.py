@@ -19,6 +19,7 @@ from shape_obs.image.region import Region
 from shape_obs.image.segmentation import Segmentation
 from shape_obs.image.sharing import EXPECTED, FOUND, MOST, TRACED, WIDE, Reach, owned_runs, part_of, share, share_pixels
 from shape_obs.initialization.appearance import middle_width
+from shape_obs.initialization.pairing import first_chord
 from shape_obs.initialization.strand_curves import sharp_turns
 from shape_obs.shape import Shape
 from shape_obs.slots.attempts import (
@@ -36,21 +37,20 @@ from shape_obs.tracker import Tracker
 from shape_obs.tracking.exchanges import meetings
 from shape_obs.tracking.predict import Fit
 from shape_obs.tracking.scene import Scene
-from shape_obs.tracking.scene_doubt import NEXT_TO, bending_energy, nearest_distances, side_distances
-from shape_obs.tracking.seats import add_pieces, near_tracks, seat_others, seat_tracked
+from shape_obs.tracking.scene_doubt import NEXT_TO, bending_energy, sides_of
+from shape_obs.tracking.seats import add_pieces, distances, seat_others, seat_tracked
 from shape_obs.tracking.state import LENGTH
 
 Array = npt.NDArray[np.float64]
 
 _PIECE: Final = 1.5  # widths: a piece of a rope that something cuts lies no farther from where the rope is expected
 _FAR: Final = 0.1  # of the diagonal, in an interval: an object that is found farther from a track is another one
-_MISSED: Final = 5.0  # intervals without an object after which it is expected no farther away
 _PATIENCE: Final = 10  # frames between two searches for objects that do not come: these take longer than a frame
 
 #: The compiled functions that slots may call.
 SLOT_FUNCTIONS: Final = (
-    share_pixels, split_components, owned_runs, draw_components, nearest_distances, bending_energy, sharp_turns,
-    side_distances, meetings, middle_width, change_of_headings,
+    share_pixels, split_components, owned_runs, draw_components, sides_of, bending_energy, sharp_turns, first_chord,
+    meetings, middle_width, change_of_headings,
 )  # fmt: skip
 _NOTHING: Final = "no other object was found in the mask"
 
@@ -196,14 +196,14 @@ class Slots:
         far = _FAR * math.hypot(*seen.scene.size)
         # What was lost for long may be anywhere, but so may be what has come instead.
         reach = [
-            0.0 if each is None else NEXT_TO * width if each.lost else far * min(each.intervals, _MISSED)
-            for each in seen.expected
+            0.0 if each is None else NEXT_TO * width if each.lost else far * each.intervals for each in seen.expected
         ]
         lengths = [(track is not None and track.length_in_image) or math.inf for track in seen.tracks]
-        seats = seat_tracked(objects, seen.ahead, reach, lengths)
+        away = distances(objects, seen.ahead)
+        seats = seat_tracked(objects, away, reach, lengths)
         free = [k for k, each in enumerate(seen.expected) if each is None or each.lost]
         targets = [tracker.target(seen.scene) for tracker in self.trackers]
-        kept = near_tracks(objects, seen.ahead, NEXT_TO * width) if objects else ()
+        kept = np.flatnonzero((away[0] <= NEXT_TO * width).any(axis=0)).tolist()
         seats = seat_others(
             objects, seats, targets, sorted(free, key=lambda k: self.trackers[k].track is not None), kept
         )
@@ -212,7 +212,7 @@ class Slots:
         curves, widths = [objects[at].curve.points for at in shared], [objects[at].width for at in shared]
         owners = share(region, curves, widths, TRACED)[0] if shared else None
         reach = _PIECE * median(widths) if shared else 0.0
-        for k, pieces in enumerate(add_pieces(objects, seats, seen.ahead, reach)):
+        for k, pieces in enumerate(add_pieces(seats, away[0], reach)):
             if pieces:
                 part = objects[pieces[0]].region
                 if part is None:

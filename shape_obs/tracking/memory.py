@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from shape_obs.geometry.polyline import resample
 from shape_obs.geometry.rotation import spread_of
+from shape_obs.initialization.objects import COMPARED
 from shape_obs.tracking.predict import Track
 
 Array = npt.NDArray[np.float64]
@@ -17,7 +18,6 @@ Array = npt.NDArray[np.float64]
 _FREE: Final = 14.0  # coordinates of a form that change independently: at 3 to 5 nats, 1 decision in 20 is wrong
 _MOVES: Final = 0.05  # of the length, RMS: how far nodes move at once, and in the first second
 _LASTS: Final = 0.1  # seconds in which a rope that moves unseen forgets its velocity, twice
-_PLACES: Final = 16  # along a rope, more than ``_FREE`` coordinates need
 
 
 def evidence_of_order(lost: Track, nodes: Array, seconds: float) -> float:
@@ -34,7 +34,7 @@ def evidence_of_order(lost: Track, nodes: Array, seconds: float) -> float:
         nodes: ``(K, D)`` where it was found, in either order, in the unit of the track.
         seconds: Since the track saw it.
     """
-    form, known = resample(nodes, _PLACES), resample(lost.nodes, _PLACES)  # (P, D)
+    form, known = resample(nodes, COMPARED), resample(lost.nodes, COMPARED)  # (P, D)
     square = max(lost.size, 1e-9) ** 2
     spread = _MOVES**2 * (1 + seconds) + _LASTS * seconds * spread_of(lost.velocity) / square
     own, reverse = (np.log(spread + spread_of(way - known) / square) for way in (form, form[::-1]))

@@ -72,9 +72,8 @@ def claims_the_same(form: FittedCurve, other: FittedCurve, width: float) -> bool
     if hidden <= max(_HIDDEN, other.unsupported_fraction):
         return False
     seen = np.ascontiguousarray(form.points[~form.interpolated][::4])
-    if not len(seen):
-        return False
-    return bool(np.mean(nearest_distances(seen, np.ascontiguousarray(other.points)) < width / 2) > _MOST)
+    away, _ = sides_of(seen, np.ascontiguousarray(other.points))
+    return len(away) > 0 and bool(np.mean(away < width / 2) > _MOST)
 
 
 def folds_anew(curve: FittedCurve, observed: Observed, width: float) -> bool:
@@ -130,24 +129,8 @@ def taken_over(points: Array, own: Array, others: Sequence[Array], margin: float
     """
     if not others or not len(points):
         return 0.0
-    away = nearest_distances(points, own)
-    least = np.min([nearest_distances(points, other) for other in others], axis=0)
-    return float(np.mean(away > least + margin))
-
-
-@compiled("(f8[:,::1], f8[:,::1])")
-def nearest_distances(points: Array, curve: Array) -> Array:
-    """Return the distance of ``(N, 2)`` points from a polyline of ``(K, 2)``: ``(N,)``."""
-    out = np.empty(len(points))
-    for n in range(len(points)):
-        least = np.inf
-        for p in range(len(curve) - 1):
-            du, dv = curve[p + 1, 0] - curve[p, 0], curve[p + 1, 1] - curve[p, 1]
-            u, v = points[n, 0] - curve[p, 0], points[n, 1] - curve[p, 1]
-            share = min(max((u * du + v * dv) / max(du * du + dv * dv, 1e-12), 0.0), 1.0)
-            least = min(least, (u - share * du) ** 2 + (v - share * dv) ** 2)
-        out[n] = np.sqrt(least)
-    return out
+    least = np.min([sides_of(points, other)[0] for other in others], axis=0)
+    return float(np.mean(sides_of(points, own)[0] > least + margin))
 
 
 def changed_sides(before: Array, other_before: Array, after: Array, other_after: Array, width: float) -> bool:
@@ -160,20 +143,28 @@ def changed_sides(before: Array, other_before: Array, after: Array, other_after:
         other_after: ``(J, 2)`` those of the other one.
         width: Of the ropes, pixels.
     """
-    was, now = side_distances(before, other_before), side_distances(after, other_after)
-    near = (np.abs(was) < NEXT_TO * width) & (np.abs(now) < NEXT_TO * width)
-    changed = near & (was * now < 0)
+    (was, side_before), (now, side) = sides_of(before, other_before), sides_of(after, other_after)
+    near = (np.maximum(was, now) < NEXT_TO * width) & (side_before * side != 0)
+    changed = near & (side_before != side)
     count = np.count_nonzero(near)
     if count < _LEAST or np.count_nonzero(changed) < _MOST * count:
         return False
-    return bool(np.median(np.abs(now[changed])) > _BESIDE * width)
+    return bool(np.median(now[changed]) > _BESIDE * width)
 
 
 @compiled("(f8[:,::1], f8[:,::1])")
-def side_distances(points: Array, curve: Array) -> Array:
-    """Return the distance of ``(N, 2)`` points from a polyline, negative on its left; inf beyond its ends."""
-    out = np.full(len(points), np.inf)
-    last = len(curve) - 2
+def sides_of(points: Array, curve: Array) -> tuple[Array, Array]:
+    """Return how far points lie from a polyline, and on which side of it.
+
+    Args:
+        points: ``(N, 2)`` pixels.
+        curve: ``(K, 2)`` pixels.
+
+    Returns:
+        ``(N,)`` distances, pixels, and ``(N,)`` sides: -1 for the left as the image is seen, 1 for the right, 0 beyond
+        the ends.
+    """
+    away, side, last = np.empty(len(points)), np.zeros(len(points)), len(curve) - 2
     for n in range(len(points)):
         least = np.inf
         for p in range(last + 1):
@@ -181,9 +172,9 @@ def side_distances(points: Array, curve: Array) -> Array:
             u, v = points[n, 0] - curve[p, 0], points[n, 1] - curve[p, 1]
             share = (u * du + v * dv) / max(du * du + dv * dv, 1e-12)
             inside = min(max(share, 0.0), 1.0)
-            away = np.hypot(u - inside * du, v - inside * dv)
-            if away < least:
-                least = away
+            square = (u - inside * du) ** 2 + (v - inside * dv) ** 2
+            if square < least:
                 beyond = (p == 0 and share < 0) or (p == last and share > 1)
-                out[n] = np.inf if beyond else away if du * v - dv * u > 0 else -away
-    return out
+                least, side[n] = square, 0.0 if beyond else 1.0 if du * v > dv * u else -1.0
+        away[n] = np.sqrt(least)
+    return away, side

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from shape_obs.geometry.polyline import arc_length, interpolate
+from shape_obs.geometry.polyline import resample
 from shape_obs.initialization.objects import COMPARED, SceneObject
 
 Array = npt.NDArray[np.float64]
@@ -17,11 +17,31 @@ _MISSING: Final = 0.3  # weight of what an object lacks of a track, over that of
 _LONGER: Final = 1.05  # of the length that is known: more is no noise
 
 
+def distances(objects: Sequence[SceneObject], tracks: Sequence[Array | None]) -> tuple[Array, Array]:
+    """Return how far objects lie from where those of the slots should be, on average, and these from them.
+
+    Args:
+        objects: What was found in this frame, O of them.
+        tracks: ``(N, 2)`` pixels each, where the object of a slot should be; None for a slot without a track.
+
+    Returns:
+        ``(K, O)`` pixels, of the points of each object from each track, and ``(K, O)`` of the track's points from the
+        object, whatever their directions; infinity without a track.
+    """
+    away = np.full((2, len(tracks), len(objects)), np.inf)
+    curves = [resample(found.curve.points, COMPARED) for found in objects]
+    for k, nodes in enumerate(tracks):
+        if nodes is None:
+            continue
+        known = resample(nodes, COMPARED)
+        for at, curve in enumerate(curves):
+            between = np.linalg.norm(curve[:, None] - known, axis=2)
+            away[:, k, at] = between.min(axis=1).mean(), between.min(axis=0).mean()
+    return away[0], away[1]
+
+
 def seat_tracked(
-    objects: Sequence[SceneObject],
-    tracks: Sequence[Array | None],
-    reach: Sequence[float],
-    lengths: Sequence[float],
+    objects: Sequence[SceneObject], away: tuple[Array, Array], reach: Sequence[float], lengths: Sequence[float]
 ) -> list[int]:
     """Return the object of each slot that has a track, -1 for the others: those that are nearest overall.
 
@@ -29,57 +49,37 @@ def seat_tracked(
 
     Args:
         objects: What was found in this frame.
-        tracks: ``(K, 2)`` pixels each, where the object of a slot should be; None for a slot without a track.
+        away: See ``distances``.
         reach: Pixels, for each slot: an object that lies farther from its track on average is another one.
         lengths: Pixels, for each slot: what is clearly longer than the object was is another one; inf if unknown.
     """
-    seats, known = [-1] * len(tracks), [k for k, nodes in enumerate(tracks) if nodes is not None]
-    if not known or not objects:
+    seats, sizes = [-1] * len(reach), np.array([each.curve.size for each in objects])
+    cost = away[0] + _MISSING * away[1] + np.maximum(sizes - _LONGER * np.array(lengths)[:, None], 0.0)
+    within = cost <= np.array(reach)[:, None]
+    if not within.any():
         return seats
     from scipy.optimize import linear_sum_assignment  # takes a third of a second to import
 
-    cost = np.array([[_apart(each.curve.points, tracks[k]) for each in objects] for k in known])
-    sizes = np.array([each.curve.size for each in objects])
-    cost += np.array([np.maximum(sizes - _LONGER * lengths[k], 0.0) for k in known])
-    within = cost <= np.array([[reach[k]] for k in known])
     # A slot without an object costs the same whichever it is, so that what was lost for long takes no other one's.
-    for row, at in zip(*linear_sum_assignment(np.where(within, cost, max(reach))), strict=True):
-        if within[row, at]:
-            seats[known[row]] = int(at)
+    for k, at in zip(*linear_sum_assignment(np.where(within, cost, max(reach))), strict=True):
+        if within[k, at]:
+            seats[k] = int(at)
     return seats
 
 
-def near_tracks(objects: Sequence[SceneObject], tracks: Sequence[Array | None], reach: float) -> set[int]:
-    """Return the objects that lie, on average, within some pixels of where the object of a slot should be."""
-    known = [_sampled(nodes) for nodes in tracks if nodes is not None]
-    return {
-        at
-        for at, found in enumerate(objects)
-        if any(_distances(_sampled(found.curve.points), nodes).min(axis=1).mean() <= reach for nodes in known)
-    }
-
-
-def add_pieces(
-    objects: Sequence[SceneObject], seats: Sequence[int], tracks: Sequence[Array | None], reach: float
-) -> list[list[int]]:
+def add_pieces(seats: Sequence[int], distance: Array, reach: float) -> list[list[int]]:
     """Return all objects of each slot: what is left over may be pieces of ropes that something cuts.
 
     Args:
-        objects: What was found in this frame.
         seats: The object of each slot, -1 for none.
-        tracks: ``(K, 2)`` pixels each, where the object of a slot should be; None for a slot without a track.
+        distance: ``(K, O)`` how far the objects lie from the tracks, see ``distances``.
         reach: Pixels: a piece lies on average at most so far from the track of its rope, and twice as far from others.
     """
     pieces = [[at] if at >= 0 else [] for at in seats]
-    known = [k for k, nodes in enumerate(tracks) if nodes is not None]
-    for at, found in enumerate(objects):
-        if at in seats or not known:
-            continue
-        away = [float(_distances(_sampled(found.curve.points), _sampled(tracks[k])).min(axis=1).mean()) for k in known]
-        order = np.argsort(away)
-        clear = len(order) == 1 or away[order[1]] > 2 * away[order[0]]
-        if away[order[0]] <= reach and clear:
-            pieces[known[order[0]]].append(at)
+    for at, away in enumerate(distance.T):
+        nearest = int(np.argmin(away))
+        if at not in seats and away[nearest] <= reach and (np.delete(away, nearest) > 2 * away[nearest]).all():
+            pieces[nearest].append(at)
     return pieces
 
 
@@ -122,23 +122,3 @@ def _away(found: SceneObject, target: Array | None) -> float:
     """Return how far an object begins from a pixel."""
     assert target is not None
     return float(np.linalg.norm(found.starts - target, axis=1).min())
-
-
-def _apart(curve: Array, nodes: Array | None) -> float:
-    """Return the mean distance of two curves, whatever their direction."""
-    distance = _distances(_sampled(curve), _sampled(nodes))
-    return float(distance.min(axis=1).mean() + _MISSING * distance.min(axis=0).mean())
-
-
-def _distances(one: Array, other: Array) -> Array:
-    """Return the distance of each of ``(N, 2)`` pixels to each of ``(M, 2)``."""
-    from scipy.spatial.distance import cdist  # takes 0.1 s to import
-
-    return np.asarray(cdist(one, other), np.float64)
-
-
-def _sampled(curve: Array | None) -> Array:
-    assert curve is not None
-    curve = np.ascontiguousarray(curve)
-    arc = arc_length(curve)
-    return interpolate(curve, arc, np.linspace(0.0, arc[-1], COMPARED))
