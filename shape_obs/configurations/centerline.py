@@ -32,7 +32,7 @@ from shape_obs.point_cloud.local_pca import moments_within
 from shape_obs.tracking.judge_chain import is_unclear, reason_of
 from shape_obs.tracking.memory import evidence_of_order
 from shape_obs.tracking.model import ChainModel
-from shape_obs.tracking.predict import NO_NODES, Fit, Prediction, Track, known_before, reversed_rope
+from shape_obs.tracking.predict import NO_NODES, Fit, Prediction, Track, reversed_rope, unknown_before
 from shape_obs.tracking.register_chain import direction
 from shape_obs.tracking.scene import NO_MASK, Scene
 from shape_obs.tracking.state import new_rope
@@ -164,8 +164,11 @@ class Centerline(Configuration, kind="centerline"):
         else:
             start, cloud = self._fit_cloud(cast("Cloud", observed), start, prediction)
             width = cloud[3]
-        new = new_rope(self.model, self.length or 0.0)
-        before = known_before(prediction, new, observed.dimension, scene.clock.now)
+        if prediction is not None:
+            before = prediction.before
+        else:
+            new = new_rope(self.model, self.length or 0.0)
+            before = unknown_before(new, observed.dimension, scene.clock.now)
         stepped = step_chain(
             image, cloud, observed.area, start, wide, off, self.spacing == "m", before, self.model.record
         )

@@ -29,7 +29,7 @@ from shape_obs.image.region import Region
 from shape_obs.point_cloud.local_pca import moments_within
 from shape_obs.tracking.measure_ring import MIN_SAMPLES, fit_ring_in_cloud, nodes_around
 from shape_obs.tracking.model import RingModel
-from shape_obs.tracking.predict import Fit, Prediction, Track, known_before
+from shape_obs.tracking.predict import Fit, Prediction, Track, unknown_before
 from shape_obs.tracking.register_ring import first_place
 from shape_obs.tracking.scene import NO_MASK, Scene
 from shape_obs.tracking.state import ShapeState
@@ -76,7 +76,10 @@ class Contour(Configuration, kind="contour"):
 
     def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Fit a ring of nodes to this frame's own outline; number it as the track does, or by the paper's rule."""
-        before = known_before(prediction, np.zeros(1, ShapeState), observed.dimension, scene.clock.now)
+        if prediction is not None:
+            before = prediction.before
+        else:
+            before = unknown_before(np.zeros(1, ShapeState), observed.dimension, scene.clock.now)
         image, cloud = NO_MASK, NO_CLOUD
         if isinstance(observed, Region):
             image = scene.in_mask(observed)

@@ -23,7 +23,7 @@ from shape_obs.point_cloud.local_pca import moments_within
 from shape_obs.tracking.isometry import folded_reason
 from shape_obs.tracking.measure_lattice import CELL, even_inside, patch_in_cloud
 from shape_obs.tracking.model import LatticeModel
-from shape_obs.tracking.predict import Before, Fit, Prediction, Track, known_before
+from shape_obs.tracking.predict import Before, Fit, Prediction, Track, unknown_before
 from shape_obs.tracking.register_lattice import first_corner
 from shape_obs.tracking.scene import NO_MASK, InMask, Scene
 from shape_obs.tracking.state import ShapeState
@@ -85,7 +85,10 @@ class Surface(Configuration, kind="surface"):
 
     def fit(self, observed: Observed, prediction: Prediction | None, target: Array | None, scene: Scene) -> Fit:
         """Lay a Coons patch between the predicted corners; put back what is hidden; else take the best four corners."""
-        before = known_before(prediction, np.zeros(1, ShapeState), observed.dimension, scene.clock.now)
+        if prediction is not None:
+            before = prediction.before
+        else:
+            before = unknown_before(np.zeros(1, ShapeState), observed.dimension, scene.clock.now)
         if isinstance(observed, Region):
             found = self._step(scene.in_mask(observed), NO_CLOUD, target, before)
             reason = self._rejection_reason(observed, found.width, prediction is not None)

@@ -155,6 +155,12 @@ class Prediction(NamedTuple):
     reach: float = math.inf
 
     @property
+    def before(self) -> Before:
+        """The track as steps take it."""
+        (state, nodes, velocity, _, log_depth, depth_rate, reference), now, _, lost, reach = self
+        return state, nodes, velocity, log_depth, depth_rate, reference, now, lost, reach
+
+    @property
     def nodes(self) -> Array:
         """``(K, D)`` where they should be."""
         track, share = self.track, self.model.velocity_share
@@ -172,14 +178,10 @@ class Prediction(NamedTuple):
         return max(self.seconds / self.track.interval, 1.0) if self.track.interval > 0 else 1.0
 
 
-def known_before(prediction: Prediction | None, new: State, dimension: int, now: float) -> Before:
-    """Return the track of a shape before a frame; without nodes, and with the state of a new one, if it has none."""
-    if prediction is None:
-        nothing = np.empty((0, dimension))
-        return new, nothing, nothing, NO_VALUES, NO_VALUES, NO_NODES, now, False, math.inf
-    track, now, _, lost, reach = prediction
-    moving = track.nodes, track.velocity, track.log_depth, track.depth_rate
-    return track.state, *moving, track.reference, now, lost, reach
+def unknown_before(new: State, dimension: int, now: float) -> Before:
+    """Return what steps take of a shape without a track: the state of a new one, and no nodes."""
+    nothing = np.empty((0, dimension))
+    return new, nothing, nothing, NO_VALUES, NO_VALUES, NO_NODES, now, False, math.inf
 
 
 @compiled("(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, f8, f8)")

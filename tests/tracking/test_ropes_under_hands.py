@@ -18,7 +18,7 @@ from shape_obs.image.roi import Window
 from shape_obs.tracking.clock import Clock
 from shape_obs.tracking.judge_chain import reason_of
 from shape_obs.tracking.model import ChainModel
-from shape_obs.tracking.predict import Prediction, Track, known_before
+from shape_obs.tracking.predict import Prediction, Track
 from shape_obs.tracking.scene import Scene
 from shape_obs.tracking.state import new_rope
 from shape_obs.tracking.step import NO_CLOUD, step_chain
@@ -333,7 +333,7 @@ def test_it_is_in_doubt_which_end_is_missing_where_a_free_end_may_be_folded_back
     mask[:, :cut] = 0
     region = find_region(mask, Window(0, 0, 640, 480), 1, 0.0)
     track = Track(rope, nodes, np.zeros_like(nodes), Chain(16))
-    before = known_before(Prediction(track, 1 / 30, ChainModel()), rope, 2, 0.0)
+    before = Prediction(track, 1 / 30, ChainModel()).before
     scene = Scene(Frame(), Clock(), edge=Window(cut, 0, 640 - cut, 480))
     image = scene.in_mask(region)
     model = ChainModel().record
